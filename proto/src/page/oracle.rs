@@ -1,0 +1,277 @@
+//! Naive oracles and properties of pages: every bound is held against a scan of all samples.
+
+use super::*;
+use crate::geometry::{Edge, Quadrant};
+use proptest::prelude::*;
+
+type Samples = [Option<i32>; PAGE_AREA];
+type Point = (usize, usize);
+
+/// A vertex triangle in samples of the full page.
+struct Triangle([Point; 3]);
+
+impl Triangle {
+    /// Twice the signed area spanned by `a`, `b` and `p`.
+    fn side(a: Point, b: Point, p: Point) -> i64 {
+        let d = |q: Point| (q.0 as i64 - a.0 as i64, q.1 as i64 - a.1 as i64);
+        let (b, p) = (d(b), d(p));
+        b.0 * p.1 - b.1 * p.0
+    }
+
+    /// Largest distance of any sample from the plane, rounded up; barycentric, in integers.
+    fn deviation(&self, height: impl Fn(Point) -> i64) -> u32 {
+        let [a, b, c] = self.0;
+        let area = Self::side(a, b, c);
+        let mut largest = 0;
+        for y in 0..PAGE_SAMPLES {
+            for x in 0..PAGE_SAMPLES {
+                let p = (x, y);
+                let w = [Self::side(b, c, p), Self::side(c, a, p), Self::side(a, b, p)];
+                if w.iter().all(|w| w * area.signum() >= 0) {
+                    let plane = w[0] * height(a) + w[1] * height(b) + w[2] * height(c);
+                    let scaled = (area * height(p) - plane).unsigned_abs();
+                    largest = largest.max(scaled.div_ceil(area.unsigned_abs()));
+                }
+            }
+        }
+        largest as u32
+    }
+}
+
+/// Edge triangle of a square, by its level in the page.
+fn edge_triangle((level, column, row): (u8, usize, usize), edge: Edge) -> Triangle {
+    let side = level_step(level);
+    let (x, y) = (column * side, row * side);
+    let centre = (x + side / 2, y + side / 2);
+    let (sw, se, nw, ne) = ((x, y), (x + side, y), (x, y + side), (x + side, y + side));
+    Triangle(match edge {
+        Edge::East => [centre, se, ne],
+        Edge::North => [centre, ne, nw],
+        Edge::West => [centre, nw, sw],
+        Edge::South => [centre, sw, se],
+    })
+}
+
+fn halves((level, column, row): (u8, usize, usize), rises: bool) -> [Triangle; 2] {
+    let side = level_step(level);
+    let (x, y) = (column * side, row * side);
+    let (sw, se, nw, ne) = ((x, y), (x + side, y), (x, y + side), (x + side, y + side));
+    if rises {
+        [Triangle([sw, se, ne]), Triangle([sw, ne, nw])]
+    } else {
+        [Triangle([sw, se, nw]), Triangle([se, ne, nw])]
+    }
+}
+
+fn squares(depth: u8) -> impl Iterator<Item = (u8, usize, usize)> {
+    (0..depth).flat_map(|level| {
+        (0..1 << level).flat_map(move |row| (0..1 << level).map(move |column| (level, column, row)))
+    })
+}
+
+fn page_id() -> PageId {
+    PageId::new(8, 37, 90).unwrap()
+}
+
+fn terrain() -> impl Strategy<Value = Samples> {
+    let smooth = (any::<i16>(), any::<i8>(), any::<i8>(), any::<i8>()).prop_map(|(base, a, b, c)| {
+        std::array::from_fn(|i| {
+            let (x, y) = ((i % PAGE_SAMPLES) as i32, (i / PAGE_SAMPLES) as i32);
+            Some(i32::from(base) + i32::from(a) * x + i32::from(b) * y + i32::from(c) * x * y / 7)
+        })
+    });
+    let noise = prop::collection::vec(-1000..1000i32, PAGE_AREA)
+        .prop_map(|v| std::array::from_fn(|i| Some(v[i])));
+    let extreme = prop::collection::vec(-MAX_HEIGHT..=MAX_HEIGHT, PAGE_AREA)
+        .prop_map(|v| std::array::from_fn(|i| Some(v[i])));
+    let spike = (0..PAGE_AREA, -MAX_HEIGHT..=MAX_HEIGHT).prop_map(|(at, height)| {
+        let mut samples = [Some(7); PAGE_AREA];
+        samples[at] = Some(height);
+        samples
+    });
+    prop_oneof![smooth, noise, extreme, spike]
+}
+
+fn holed() -> impl Strategy<Value = Samples> {
+    let mask = prop_oneof![
+        prop::collection::vec(any::<bool>(), PAGE_AREA),
+        (0..PAGE_SAMPLES).prop_map(|edge| (0..PAGE_AREA).map(|i| i % PAGE_SAMPLES > edge).collect())
+    ];
+    (terrain(), mask).prop_map(|(samples, mask)| {
+        std::array::from_fn(|i| if mask[i] { samples[i] } else { None })
+    })
+}
+
+fn slots() -> impl Strategy<Value = Box<[ChildSlot; PAGE_SLOTS]>> {
+    let slot = prop_oneof![
+        8 => any::<u8>().prop_map(|code| ChildSlot::Full(Err8(code))),
+        1 => Just(ChildSlot::Empty),
+        1 => (-5000..5000i32, 0..90).prop_map(|(lo, span)| ChildSlot::Mixed(Range { lo, hi: lo + span })),
+    ];
+    prop::collection::vec(slot, PAGE_SLOTS).prop_map(|v| Box::new(std::array::from_fn(|i| v[i])))
+}
+
+fn whole_page() -> impl Strategy<Value = Page> {
+    let samples = prop_oneof![terrain(), holed()];
+    (samples, prop::option::of(slots()))
+        .prop_map(|(samples, slots)| Page::new(page_id(), &samples, slots).unwrap())
+}
+
+proptest! {
+    #[test]
+    fn a_record_decodes_to_the_page_in_every_split_of_its_parts(page in whole_page(), split in 1u8..5) {
+        let record = Record::encode(&page);
+        prop_assert!(record.bytes().len() <= MAX_RECORD_BYTES);
+        let header = RecordHeader::read(page.id(), page.is_finest(), record.bytes()).unwrap();
+        prop_assert_eq!(header.record_len(), record.bytes().len());
+        let last = page.last_part();
+        let split = split.min(last);
+        let first = &record.bytes()[header.part_bytes(0, split).unwrap()];
+        let mut back = Page::decode(page.id(), page.is_finest(), split, first).unwrap();
+        if split < last {
+            let rest = &record.bytes()[header.part_bytes(split + 1, last).unwrap()];
+            back.extend(last, rest).unwrap();
+        }
+        prop_assert_eq!(back, page);
+    }
+
+    #[test]
+    fn every_short_prefix_and_every_longer_record_is_refused(page in whole_page(), cut: prop::sample::Index) {
+        let mut bytes = Record::encode(&page).bytes().to_vec();
+        let cut = cut.index(bytes.len());
+        prop_assert!(Page::decode(page.id(), page.is_finest(), page.last_part(), &bytes[..cut]).is_err());
+        bytes.push(0);
+        prop_assert!(Page::decode(page.id(), page.is_finest(), page.last_part(), &bytes).is_err());
+    }
+
+    #[test]
+    fn hostile_bytes_never_panic(bytes in prop::collection::vec(any::<u8>(), 0..2000), finest: bool, tag in 0u8..32) {
+        let mut bytes = bytes;
+        if let Some(first) = bytes.first_mut() { *first = tag; }
+        for parts in 0..7 {
+            if let Ok(page) = Page::decode(page_id(), finest, parts, &bytes) {
+                let _ = Bounds::derive(&page, None);
+            }
+        }
+    }
+
+    #[test]
+    fn a_flipped_byte_decodes_to_something_bounded_or_is_refused(page in whole_page(), at: prop::sample::Index, flip in 1u8..) {
+        let mut bytes = Record::encode(&page).bytes().to_vec();
+        let at = at.index(bytes.len());
+        let before = revision(page.id(), &bytes);
+        bytes[at] ^= flip;
+        prop_assert_ne!(revision(page.id(), &bytes), before);
+        if let Ok(page) = Page::decode(page.id(), page.is_finest(), page.last_part(), &bytes) {
+            let _ = Bounds::derive(&page, None);
+        }
+    }
+
+    #[test]
+    fn bounds_hold_at_every_sample_of_a_finest_page_for_every_prefix(samples in terrain()) {
+        let whole = Page::new(page_id(), &samples, None).unwrap();
+        let record = Record::encode(&whole);
+        let header = RecordHeader::read(whole.id(), true, record.bytes()).unwrap();
+        for parts in 1..=4 {
+            let prefix = &record.bytes()[header.part_bytes(0, parts).unwrap()];
+            let page = Page::decode(whole.id(), true, parts, prefix).unwrap();
+            let bounds = Bounds::derive(&page, None);
+            let height = |(x, y): Point| i64::from(whole.height(y * PAGE_SAMPLES + x));
+            for square in squares(parts) {
+                let (level, column, row) = square;
+                for edge in Edge::ALL {
+                    let measured = edge_triangle(square, edge).deviation(height);
+                    let promised = bounds.square(level, column, row).edges[edge as usize];
+                    prop_assert!(measured <= promised, "{square:?} {edge:?}: {measured} > {promised}");
+                }
+                let root = page_id().square();
+                let (x, y) = if level == 0 { (root.x, root.y) } else { (column as u32, row as u32) };
+                for half in halves(square, Quadrant::of(x, y).rises()) {
+                    prop_assert!(half.deviation(height) <= bounds.box_error(level, column, row).error);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn the_bound_of_a_square_is_the_exact_largest_deviation_below_it(samples in terrain()) {
+        let page = Page::new(page_id(), &samples, None).unwrap();
+        let bounds = Bounds::derive(&page, None);
+        let height = |(x, y): Point| i64::from(page.height(y * PAGE_SAMPLES + x));
+        let root = page_id().square();
+        let rises = |(level, column, row): (u8, usize, usize)| match level {
+            0 => Quadrant::of(root.x, root.y).rises(),
+            _ => Quadrant::of(column as u32, row as u32).rises(),
+        };
+        // The root's bound is saturated: the largest of the exact errors of all triangles in it.
+        let exact = squares(4).flat_map(|square| {
+            let edges = Edge::ALL.map(|edge| edge_triangle(square, edge).deviation(height));
+            let halves = halves(square, rises(square)).map(|half| half.deviation(height));
+            edges.into_iter().chain(halves)
+        });
+        prop_assert_eq!(bounds.box_error(0, 0, 0).error, exact.max().unwrap());
+    }
+
+    #[test]
+    fn errors_and_ranges_are_nested(page in whole_page()) {
+        let record = Record::encode(&page);
+        let header = RecordHeader::read(page.id(), page.is_finest(), record.bytes()).unwrap();
+        let promise = Bounds::derive(&page, None).box_error(0, 0, 0);
+        for parts in 1..=page.last_part() {
+            let prefix = &record.bytes()[header.part_bytes(0, parts).unwrap()];
+            let page = Page::decode(page.id(), page.is_finest(), parts, prefix).unwrap();
+            let bounds = Bounds::derive(&page, Some(promise));
+            for (level, column, row) in squares(bounds.depth()) {
+                let square = bounds.square(level, column, row);
+                let own = bounds.box_error(level, column, row);
+                prop_assert!(own.error <= promise.error && promise.range.contains(own.range));
+                for edge in Edge::ALL {
+                    prop_assert!(square.edges[edge as usize] <= own.error);
+                }
+                for quadrant in Quadrant::ALL {
+                    let (dx, dy) = quadrant.offset();
+                    let child = bounds.box_error(level + 1, 2 * column + dx as usize, 2 * row + dy as usize);
+                    let edges = quadrant.edges().map(|edge| square.edges[edge as usize]);
+                    prop_assert!(square.range.contains(child.range));
+                    if page.last_part() == page.parts() || !page.has_holes() {
+                        prop_assert!(child.error <= edges[0].max(edges[1]));
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn below_a_flat_cell_the_parents_triangles_are_the_surface() {
+    let samples = std::array::from_fn(|i| Some(((i % PAGE_SAMPLES) * 32 + (i / PAGE_SAMPLES) * 16) as i32));
+    let slots = Box::new([ChildSlot::Full(Err8(0)); PAGE_SLOTS]);
+    let parent = Page::new(page_id(), &samples, Some(slots)).unwrap();
+    let child = parent.implied_child(Slot::at(3, 5), true).unwrap();
+    for i in 0..PAGE_AREA {
+        let (x, y) = (3 * 16 + i % PAGE_SAMPLES, 5 * 16 + i / PAGE_SAMPLES);
+        assert_eq!(child.height(i), (x * 2 + y) as i32);
+    }
+    assert_eq!(Bounds::derive(&child, None).slot(), ChildSlot::Full(Err8(0)));
+}
+
+#[test]
+fn a_finest_cell_with_three_samples_holds_a_triangle_only_on_the_right_side_of_its_diagonal() {
+    // Cell (0, 0) rises from south-west to north-east.
+    let without = |hole: usize| {
+        let mut samples = [Some(0); PAGE_AREA];
+        samples[hole] = None;
+        Page::new(page_id(), &samples, None).unwrap().slot(Slot::at(0, 0)).kind()
+    };
+    assert_eq!(without(0), Kind::Empty);
+    assert_eq!(without(1), Kind::Mixed);
+    assert_eq!(without(PAGE_SAMPLES), Kind::Mixed);
+    assert_eq!(without(PAGE_SAMPLES + 1), Kind::Empty);
+}
+
+#[test]
+fn heights_beyond_the_limit_are_refused() {
+    let mut samples = [Some(0); PAGE_AREA];
+    samples[5] = Some(MAX_HEIGHT + 1);
+    assert!(Page::new(page_id(), &samples, None).is_err());
+}

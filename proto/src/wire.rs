@@ -1,0 +1,306 @@
+//! The messages of the protocol, and their one place of encoding. `proto/PROTOCOL.md` is the
+//! specification: byte map, order, limits, and an example.
+//!
+//! Encoding is bincode with a byte limit. Decoding is safe on untrusted input: what a count
+//! claims is held against the limit before memory is taken, nothing recurses, and bytes left over
+//! are an error.
+
+use crate::geometry::PageId;
+use crate::manifest::MAX_MANIFEST_BYTES;
+use crate::view::View;
+use bincode::{Decode, Encode};
+use thiserror::Error;
+
+/// The protocol's version.
+pub const PROTOCOL: u16 = 1;
+/// No message of a client is longer, bytes.
+pub const MAX_CLIENT_MESSAGE: usize = 64 << 10;
+/// No message of a server is longer, bytes: Welcome carries the manifest.
+pub const MAX_SERVER_MESSAGE: usize = MAX_MANIFEST_BYTES + (64 << 10);
+/// A frame of [`ServerMessage::Pages`] is filled up to this, bytes.
+pub const PAGES_FRAME: usize = 16 << 10;
+/// Longest name of a dataset, and longest text of an error, bytes.
+pub const MAX_TEXT: usize = 1024;
+
+/// What a client says.
+#[derive(Debug, Clone, PartialEq, Encode, Decode)]
+pub enum ClientMessage {
+    /// The first message, once.
+    Hello(Hello),
+    /// What is looked at now. A newer one replaces it.
+    View {
+        /// Counts views, so that Idle can name the one that it answers.
+        sequence: u32,
+        /// The view.
+        view: View,
+    },
+    /// Parts of pages that Update() reached. A page wanted again replaces the older wish.
+    Want(Vec<Want>),
+    /// Pages that are no longer wanted, by key.
+    Cancel(Vec<u64>),
+    /// Bytes of Pages payload that the server may have sent in all, counted from the start.
+    Credit {
+        /// The count; it never falls.
+        total_bytes: u64,
+    },
+    /// Pages that the client has, with the parts it has of each.
+    Have(Vec<Have>),
+    /// Pages that the client no longer has, by key.
+    Evict(Vec<u64>),
+    /// Answered by Pong with the same number.
+    Ping(u64),
+    /// Why the client leaves.
+    Error(PeerError),
+}
+
+/// What a server says.
+#[derive(Debug, Clone, PartialEq, Encode, Decode)]
+pub enum ServerMessage {
+    /// Answers Hello.
+    Welcome(Welcome),
+    /// Parts of pages, as they lie on disk.
+    Pages(Vec<Chunk>),
+    /// A page that was wanted and does not come.
+    Miss(Miss),
+    /// The data has a new generation. Pages of the old one stay valid in this session.
+    GenChange {
+        /// The new generation.
+        generation: u64,
+    },
+    /// Nothing is queued or in flight.
+    Idle {
+        /// The newest View received when the queue ran empty; 0 if none.
+        view_sequence: u32,
+    },
+    /// Answers Ping.
+    Pong(u64),
+    /// Why the server ends the session.
+    Error(PeerError),
+}
+
+/// Opens a session.
+#[derive(Debug, Clone, PartialEq, Eq, Encode, Decode)]
+pub struct Hello {
+    /// Lowest protocol version understood.
+    pub oldest: u16,
+    /// Highest protocol version understood.
+    pub newest: u16,
+    /// Bits of optional capabilities; none is defined, and unknown ones are ignored.
+    pub capabilities: u64,
+    /// Bit `n` is set if codec `n` is understood.
+    pub codecs: u32,
+    /// Name of the dataset.
+    pub dataset: String,
+    /// First credit, as in [`ClientMessage::Credit`].
+    pub credit_bytes: u64,
+    /// Proof of access, if the server asks for one.
+    pub token: Option<String>,
+}
+
+/// Accepts a session.
+#[derive(Debug, Clone, PartialEq, Encode, Decode)]
+pub struct Welcome {
+    /// The version spoken from here on.
+    pub version: u16,
+    /// The manifest, JSON.
+    pub manifest: Vec<u8>,
+    /// What the server allows.
+    pub limits: SessionLimits,
+}
+
+/// What a server allows in one session.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Encode, Decode)]
+pub struct SessionLimits {
+    /// Pages that may be wanted at a time. More are answered by Miss.
+    pub wanted_pages: u32,
+    /// Views a second. More are dropped, newest kept.
+    pub views_per_second: u32,
+}
+
+/// How urgent a page is. Classes go in this order, whatever the priority.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Encode, Decode)]
+pub enum Class {
+    /// Something in view that is resident waits for it.
+    Blocker,
+    /// In view.
+    InView,
+    /// Will be in view, by the velocity.
+    Predicted,
+    /// Around, but not in view.
+    Ring,
+}
+
+/// Parts of a page that are wanted.
+#[derive(Debug, Clone, Copy, PartialEq, Encode, Decode)]
+pub struct Want {
+    /// [`PageId::key`].
+    pub page: u64,
+    /// First part: 0 if the client has none of the page, else one more than it has.
+    pub first_part: u8,
+    /// Last part.
+    pub last_part: u8,
+    /// Its class.
+    pub class: Class,
+    /// Largest screen error that it would mend, in units of the tolerance; larger goes first.
+    pub priority: f32,
+}
+
+/// A page that the client has.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Encode, Decode)]
+pub struct Have {
+    /// [`PageId::key`].
+    pub page: u64,
+    /// Its revision.
+    pub revision: u32,
+    /// Parts it has, from the first.
+    pub parts: u8,
+}
+
+/// Parts of one page.
+#[derive(Debug, Clone, PartialEq, Eq, Encode, Decode)]
+pub struct Chunk {
+    /// [`PageId::key`].
+    pub page: u64,
+    /// Changes when the page's record does; parts of different revisions MUST NOT be joined.
+    pub revision: u32,
+    /// First part; 0 is the header.
+    pub first_part: u8,
+    /// Last part.
+    pub last_part: u8,
+    /// The parts, one after the other.
+    pub bytes: Vec<u8>,
+}
+
+/// A wish that is not granted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Encode, Decode)]
+pub struct Miss {
+    /// [`PageId::key`].
+    pub page: u64,
+    /// Why.
+    pub reason: MissReason,
+}
+
+/// Why a wish is not granted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Encode, Decode)]
+pub enum MissReason {
+    /// The dataset has no such page, or not these parts.
+    NotFound,
+    /// Its record is damaged on the server.
+    Damaged,
+    /// Too many pages are wanted; ask again later.
+    Busy,
+}
+
+/// Why a peer ends the session.
+#[derive(Debug, Clone, PartialEq, Eq, Encode, Decode)]
+pub struct PeerError {
+    /// For programs.
+    pub code: ErrorCode,
+    /// For people.
+    pub text: String,
+}
+
+/// Why a peer ends the session, for programs.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Encode, Decode)]
+pub enum ErrorCode {
+    /// No protocol version, or no codec, in common.
+    Version,
+    /// There is no dataset of this name.
+    NoDataset,
+    /// The message could not be decoded, or came out of order.
+    Protocol,
+    /// A limit was exceeded.
+    Limit,
+    /// Token missing or wrong.
+    Denied,
+    /// The server is going down; try again.
+    ShuttingDown,
+    /// Something failed on the peer's side.
+    Internal,
+}
+
+/// Why a message was refused.
+#[derive(Debug, Clone, PartialEq, Eq, Error)]
+pub enum WireError {
+    /// It is longer than allowed.
+    #[error("message of {found} bytes, allowed are {allowed}")]
+    TooLong {
+        /// Its length.
+        found: usize,
+        /// The limit.
+        allowed: usize,
+    },
+    /// It could not be decoded.
+    #[error("message of {bytes} bytes does not decode: {why}")]
+    Malformed {
+        /// Its length.
+        bytes: usize,
+        /// bincode's reason.
+        why: String,
+    },
+    /// Bytes follow it.
+    #[error("{left} bytes left over after a message of {read}")]
+    Trailing {
+        /// Bytes that belong to it.
+        read: usize,
+        /// Bytes that follow.
+        left: usize,
+    },
+}
+
+impl ClientMessage {
+    /// The message as bytes.
+    pub fn encode(&self) -> Vec<u8> {
+        encode(self)
+    }
+
+    /// # Errors
+    /// [`WireError`] if the bytes are not exactly one message.
+    pub fn decode(bytes: &[u8]) -> Result<Self, WireError> {
+        decode::<Self, MAX_CLIENT_MESSAGE>(bytes)
+    }
+}
+
+impl ServerMessage {
+    /// The message as bytes.
+    pub fn encode(&self) -> Vec<u8> {
+        encode(self)
+    }
+
+    /// # Errors
+    /// [`WireError`] if the bytes are not exactly one message.
+    pub fn decode(bytes: &[u8]) -> Result<Self, WireError> {
+        decode::<Self, MAX_SERVER_MESSAGE>(bytes)
+    }
+}
+
+impl Want {
+    /// The page, if the key names one.
+    pub fn page_id(&self) -> Option<PageId> {
+        PageId::from_key(self.page)
+    }
+}
+
+fn encode(message: &impl Encode) -> Vec<u8> {
+    // Encoding into a Vec fails only for types that refuse to be encoded; ours do not.
+    bincode::encode_to_vec(message, bincode::config::standard()).unwrap_or_default()
+}
+
+fn decode<M: Decode<()>, const LIMIT: usize>(bytes: &[u8]) -> Result<M, WireError> {
+    if bytes.len() > LIMIT {
+        return Err(WireError::TooLong {
+            found: bytes.len(),
+            allowed: LIMIT,
+        });
+    }
+    let config = bincode::config::standard().with_limit::<LIMIT>();
+    let (message, read) =
+        bincode::decode_from_slice(bytes, config).map_err(|error| WireError::Malformed {
+            bytes: bytes.len(),
+            why: error.to_string(),
+        })?;
+    match bytes.len() - read {
+        0 => Ok(message),
+        left => Err(WireError::Trailing { read, left }),
+    }
+}
