@@ -37,12 +37,21 @@ pub struct Manifest {
     pub codec: u8,
     /// Pages that have a record.
     pub pages: u64,
-    /// Length in bytes of each segment, in the order of their numbers from 0.
-    pub segment_bytes: Vec<u64>,
+    /// The segments, in the order of their numbers from 0.
+    pub segments: Vec<Segment>,
     /// Length in bytes and CRC-32C of the index.
     pub index: FileCheck,
     /// Where the data came from, for people: the names of the input files.
     pub sources: Vec<String>,
+}
+
+/// A file of page records.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Segment {
+    /// Its name in the dataset's folder.
+    pub file: String,
+    /// Its length.
+    pub bytes: u64,
 }
 
 /// Length and checksum of a file.

@@ -7,6 +7,7 @@
 
 use crate::geometry::PageId;
 use crate::manifest::MAX_MANIFEST_BYTES;
+use crate::page::MAX_RECORD_BYTES;
 use crate::view::View;
 use bincode::{Decode, Encode};
 use thiserror::Error;
@@ -19,8 +20,14 @@ pub const MAX_CLIENT_MESSAGE: usize = 64 << 10;
 pub const MAX_SERVER_MESSAGE: usize = MAX_MANIFEST_BYTES + (64 << 10);
 /// A frame of [`ServerMessage::Pages`] is filled up to this, bytes.
 pub const PAGES_FRAME: usize = 16 << 10;
-/// Longest name of a dataset, and longest text of an error, bytes.
+/// Longest name of a dataset, token, and text of an error, bytes of UTF-8.
 pub const MAX_TEXT: usize = 1024;
+/// No list in a client's message has more entries.
+pub const MAX_LIST: usize = 2048;
+
+// The byte limit counts a list's entries as they lie in memory: a full list must pass it.
+const _: () = assert!(MAX_LIST * size_of::<Want>() + 16 <= MAX_CLIENT_MESSAGE);
+const _: () = assert!(MAX_LIST * size_of::<Have>() + 16 <= MAX_CLIENT_MESSAGE);
 
 /// What a client says.
 #[derive(Debug, Clone, PartialEq, Encode, Decode)]
@@ -238,6 +245,16 @@ pub enum WireError {
         /// bincode's reason.
         why: String,
     },
+    /// A list or text in it is longer than allowed.
+    #[error("{field} of length {found}, allowed is {allowed}")]
+    TooMany {
+        /// What it is.
+        field: &'static str,
+        /// Entries, or bytes.
+        found: usize,
+        /// The limit.
+        allowed: usize,
+    },
     /// Bytes follow it.
     #[error("{left} bytes left over after a message of {read}")]
     Trailing {
@@ -248,16 +265,51 @@ pub enum WireError {
     },
 }
 
+impl WireError {
+    /// The code to answer with: [`ErrorCode::Limit`] for what is too long, else
+    /// [`ErrorCode::Protocol`].
+    pub const fn code(&self) -> ErrorCode {
+        match self {
+            WireError::TooLong { .. } | WireError::TooMany { .. } => ErrorCode::Limit,
+            WireError::Malformed { .. } | WireError::Trailing { .. } => ErrorCode::Protocol,
+        }
+    }
+}
+
+impl PeerError {
+    /// An error whose text is cut to [`MAX_TEXT`] bytes.
+    pub fn new(code: ErrorCode, text: impl Into<String>) -> PeerError {
+        let mut text = text.into();
+        text.truncate(text.floor_char_boundary(MAX_TEXT));
+        PeerError { code, text }
+    }
+}
+
 impl ClientMessage {
     /// The message as bytes.
     pub fn encode(&self) -> Vec<u8> {
         encode(self)
     }
 
+    /// Safe on untrusted input.
+    ///
     /// # Errors
-    /// [`WireError`] if the bytes are not exactly one message.
+    /// [`WireError`] if the bytes are not exactly one message within the limits of this module.
     pub fn decode(bytes: &[u8]) -> Result<Self, WireError> {
-        decode::<Self, MAX_CLIENT_MESSAGE>(bytes)
+        let message = decode::<Self, MAX_CLIENT_MESSAGE>(bytes)?;
+        match &message {
+            ClientMessage::Hello(hello) => {
+                at_most("dataset name", hello.dataset.len(), MAX_TEXT)?;
+                at_most("token", hello.token.as_ref().map_or(0, String::len), MAX_TEXT)?;
+            }
+            ClientMessage::Want(list) => at_most("Want list", list.len(), MAX_LIST)?,
+            ClientMessage::Have(list) => at_most("Have list", list.len(), MAX_LIST)?,
+            ClientMessage::Cancel(list) => at_most("Cancel list", list.len(), MAX_LIST)?,
+            ClientMessage::Evict(list) => at_most("Evict list", list.len(), MAX_LIST)?,
+            ClientMessage::Error(error) => at_most("error text", error.text.len(), MAX_TEXT)?,
+            ClientMessage::View { .. } | ClientMessage::Credit { .. } | ClientMessage::Ping(_) => {}
+        }
+        Ok(message)
     }
 }
 
@@ -267,11 +319,36 @@ impl ServerMessage {
         encode(self)
     }
 
+    /// Safe on untrusted input.
+    ///
     /// # Errors
-    /// [`WireError`] if the bytes are not exactly one message.
+    /// [`WireError`] if the bytes are not exactly one message within the limits of this module.
     pub fn decode(bytes: &[u8]) -> Result<Self, WireError> {
-        decode::<Self, MAX_SERVER_MESSAGE>(bytes)
+        let message = decode::<Self, MAX_SERVER_MESSAGE>(bytes)?;
+        match &message {
+            ServerMessage::Welcome(welcome) => {
+                at_most("manifest", welcome.manifest.len(), MAX_MANIFEST_BYTES)?;
+            }
+            ServerMessage::Pages(chunks) => {
+                let longest = chunks.iter().map(|chunk| chunk.bytes.len()).max();
+                at_most("chunk", longest.unwrap_or(0), MAX_RECORD_BYTES)?;
+            }
+            ServerMessage::Error(error) => at_most("error text", error.text.len(), MAX_TEXT)?,
+            _ => {}
+        }
+        Ok(message)
     }
+}
+
+fn at_most(field: &'static str, found: usize, allowed: usize) -> Result<(), WireError> {
+    if found <= allowed {
+        return Ok(());
+    }
+    Err(WireError::TooMany {
+        field,
+        found,
+        allowed,
+    })
 }
 
 impl Want {
@@ -304,3 +381,6 @@ fn decode<M: Decode<()>, const LIMIT: usize>(bytes: &[u8]) -> Result<M, WireErro
         left => Err(WireError::Trailing { read, left }),
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -138,6 +138,17 @@ impl Bounds {
         }
     }
 
+    /// For a whole page: how far the surface may be from the mesh of its parts `1..=k`, by `k - 1`.
+    pub(super) fn rest_errors(&self) -> [Err8; PAGE_LEVELS as usize] {
+        std::array::from_fn(|i| {
+            let level = i as u8 + 1;
+            let boxes = (0..1 << level)
+                .flat_map(|row| (0..1 << level).map(move |column| (column, row)))
+                .map(|(column, row)| self.box_error(level, column, row).error);
+            covering(boxes.max().unwrap_or(0))
+        })
+    }
+
     /// `(error, kind)` of the half of a quadrant that lies on the side of an edge of its parent.
     fn half(&self, level: u8, column: usize, row: usize, half: usize) -> (u32, Kind) {
         if level == self.depth {
@@ -212,18 +223,6 @@ fn error_of(kind: Kind, range: Range, full: impl FnOnce() -> u32) -> u32 {
 
 fn covering(error: u32) -> Err8 {
     Err8::covering(error.min(MAX_SPAN)).unwrap_or(Err8(u8::MAX))
-}
-
-/// For a whole page: how far the surface may be from the mesh of its parts `1..=k`, by `k - 1`.
-pub(super) fn rest_errors(page: &Page) -> [Err8; PAGE_LEVELS as usize] {
-    let bounds = Bounds::derive(page, None);
-    std::array::from_fn(|i| {
-        let level = i as u8 + 1;
-        let boxes = (0..1 << level)
-            .flat_map(|row| (0..1 << level).map(move |column| (column, row)))
-            .map(|(column, row)| bounds.box_error(level, column, row).error);
-        covering(boxes.max().unwrap_or(0))
-    })
 }
 
 /// The vertices that have arrived, one to a cell corner.

@@ -224,6 +224,18 @@ impl Page {
         samples: &[Option<i32>; PAGE_AREA],
         slots: Option<Box<[ChildSlot; PAGE_SLOTS]>>,
     ) -> Result<Page, PageError> {
+        Page::with_bounds(id, samples, slots).map(|(page, _)| page)
+    }
+
+    /// As [`new`](Self::new), with the page's own bounds, from which its parent's slot follows.
+    ///
+    /// # Errors
+    /// [`PageError::Value`] if a height is beyond [`MAX_HEIGHT`].
+    pub fn with_bounds(
+        id: PageId,
+        samples: &[Option<i32>; PAGE_AREA],
+        slots: Option<Box<[ChildSlot; PAGE_SLOTS]>>,
+    ) -> Result<(Page, Bounds), PageError> {
         let mut page = Page::blank(id, slots.is_none());
         page.parts = page.last_part();
         page.slots = slots;
@@ -236,8 +248,9 @@ impl Page {
             page.range = page.holed_range();
             codec0::fill_holes(&mut page);
         }
-        page.rest = bounds::rest_errors(&page);
-        Ok(page)
+        let bounds = Bounds::derive(&page, None);
+        page.rest = bounds.rest_errors();
+        Ok((page, bounds))
     }
 
     fn blank(id: PageId, finest: bool) -> Page {
@@ -356,6 +369,12 @@ impl Page {
             (false, false) => ChildSlot::Empty,
             _ => ChildSlot::Mixed(self.cell_range(slot)),
         }
+    }
+
+    /// How far the surface may be from the mesh of parts `1..=part`, in quanta. Known once that
+    /// part has arrived; without meaning in a page with holes.
+    pub fn rest_bound(&self, part: u8) -> u32 {
+        self.rest[part as usize - 1].bound()
     }
 
     /// Whether a record, or a flat or empty page in its place, can hang below its cells.

@@ -1,0 +1,55 @@
+//! Programs over a terrain client: what they need of one, and the viewer.
+
+mod ground;
+pub mod viewer;
+
+use crate::mesh::PageMesh;
+use escarp_proto::manifest::Manifest;
+use escarp_proto::view::View;
+use std::sync::Arc;
+use std::time::Duration;
+
+pub use ground::GroundProbe;
+
+/// Wakes a program that waits for news. May be called from any thread, at any time.
+pub type Waker = Arc<dyn Fn() + Send + Sync>;
+
+/// What a program needs of a client: no more than this, so that it can be shown any terrain.
+pub trait TerrainClient {
+    /// The dataset's manifest, once it is known.
+    fn manifest(&self) -> Option<Arc<Manifest>>;
+
+    /// Brings pages and mesh up to date for a view. `now` is the time since the program began.
+    fn step(&mut self, view: &View, now: Duration) -> StepStats;
+
+    /// Shows every page with triangles, each once, in any order.
+    fn visit_pages(&self, visit: &mut dyn FnMut(&PageMesh));
+
+    /// State of the connection, for people: `connected`, `reconnecting in 3 s`.
+    fn status(&self) -> String;
+
+    /// Takes a waker to call when something has arrived. Without it a program that rests asks
+    /// twice a second.
+    fn set_waker(&mut self, _waker: Waker) {}
+}
+
+/// Where a client stands after a step.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct StepStats {
+    /// Triangles of the mesh.
+    pub triangles: u64,
+    /// Bytes received since the beginning.
+    pub bytes_received: u64,
+    /// Pages that are worth having, and are not here.
+    pub pages_wanted: u32,
+    /// Pages on their way.
+    pub pages_in_flight: u32,
+    /// Pages that are here.
+    pub pages_resident: u32,
+    /// How far, on the screen, the mesh may be from the data, pixels; infinite if nobody knows.
+    pub bound_px: f64,
+    /// Whether the mesh is all that the view asks for.
+    pub converged: bool,
+    /// What the step took, milliseconds.
+    pub update_ms: f32,
+}

@@ -1,0 +1,182 @@
+//! What is written over the picture.
+
+use super::input::HELP;
+use crate::app::StepStats;
+use crate::render::DrawStats;
+use egui::{Align2, Color32, Frame, RichText, Slider, Ui, Window};
+
+/// Range of the tolerance slider, pixels.
+pub const TOLERANCES_PX: [f32; 2] = [0.5, 32.0];
+/// Range of the exaggeration slider.
+const EXAGGERATIONS: [f32; 2] = [0.5, 5.0];
+
+/// What the user can set.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Settings {
+    pub error_px: f32,
+    pub exaggeration: f32,
+    pub wireframe: bool,
+    pub help: bool,
+}
+
+/// What the user is told.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Facts {
+    pub status: String,
+    pub step: StepStats,
+    pub drawn: DrawStats,
+    /// What a frame takes, on average, milliseconds.
+    pub frame_ms: f32,
+    pub above_ground_m: Option<f64>,
+    pub speed_m_s: f64,
+    /// The newest message, such as where a picture was saved.
+    pub message: String,
+}
+
+/// Lays it all out.
+pub fn show(ui: &mut Ui, settings: &mut Settings, facts: &Facts) {
+    let panel = Frame::window(ui.style())
+        .fill(Color32::from_rgba_unmultiplied(14, 18, 26, 214))
+        .stroke(egui::Stroke::NONE)
+        .shadow(egui::Shadow::NONE);
+    Window::new("status")
+        .title_bar(false)
+        .resizable(false)
+        .anchor(Align2::LEFT_TOP, [10.0, 10.0])
+        .frame(panel)
+        .show(ui.ctx(), |ui| {
+            status(ui, facts, settings);
+            ui.add_space(4.0);
+            controls(ui, settings);
+        });
+    if settings.help {
+        Window::new("help")
+            .title_bar(false)
+            .resizable(false)
+            .anchor(Align2::RIGHT_TOP, [-10.0, 10.0])
+            .frame(panel)
+            .show(ui.ctx(), help);
+    }
+}
+
+fn status(ui: &mut Ui, facts: &Facts, settings: &Settings) {
+    let (step, drawn) = (&facts.step, &facts.drawn);
+    ui.label(bound(step, settings));
+    line(
+        ui,
+        format!(
+            "{} triangles ({} drawn)   {:.1} ms a frame (update {:.2} ms)",
+            thousands(step.triangles),
+            thousands(drawn.triangles_drawn),
+            facts.frame_ms,
+            step.update_ms
+        ),
+    );
+    line(
+        ui,
+        format!(
+            "{} received   pages: {} resident, {} wanted, {} in flight",
+            bytes(step.bytes_received),
+            step.pages_resident,
+            step.pages_wanted,
+            step.pages_in_flight
+        ),
+    );
+    let above = facts.above_ground_m.map_or("—".into(), metres);
+    line(ui, format!("{above} above ground   {}/s at full speed", metres(facts.speed_m_s)));
+    line(ui, facts.status.clone());
+    if !facts.message.is_empty() {
+        ui.label(RichText::new(&facts.message).color(Color32::from_rgb(255, 214, 120)));
+    }
+}
+
+fn line(ui: &mut Ui, text: String) {
+    ui.label(RichText::new(text).color(Color32::from_gray(222)));
+}
+
+/// The error bound against the tolerance: green within it, amber while loading.
+fn bound(step: &StepStats, settings: &Settings) -> RichText {
+    let found = if step.bound_px.is_finite() {
+        format!("{:.2} px", step.bound_px)
+    } else {
+        "∞".into()
+    };
+    let state = if step.converged { "" } else { ", loading" };
+    let scale = if settings.exaggeration == 1.0 { "" } else { ", at true heights" };
+    let text = format!("error at most {found}, tolerance {:.2} px{scale}{state}", settings.error_px);
+    let within = step.bound_px <= f64::from(settings.error_px);
+    let colour = if within {
+        Color32::from_rgb(140, 230, 150)
+    } else {
+        Color32::from_rgb(255, 190, 90)
+    };
+    RichText::new(text).strong().color(colour)
+}
+
+fn controls(ui: &mut Ui, settings: &mut Settings) {
+    let [least, most] = TOLERANCES_PX;
+    let tolerance = Slider::new(&mut settings.error_px, least..=most)
+        .logarithmic(true)
+        .suffix(" px")
+        .text("tolerance");
+    ui.add(tolerance);
+    let [least, most] = EXAGGERATIONS;
+    let heights = Slider::new(&mut settings.exaggeration, least..=most)
+        .logarithmic(true)
+        .fixed_decimals(1)
+        .prefix("x")
+        .text("heights");
+    ui.add(heights);
+    ui.horizontal(|ui| {
+        ui.checkbox(&mut settings.wireframe, "wireframe");
+        ui.checkbox(&mut settings.help, "help");
+    });
+}
+
+fn help(ui: &mut Ui) {
+    egui::Grid::new("keys").num_columns(2).show(ui, |ui| {
+        for (key, action) in HELP {
+            ui.label(RichText::new(key).strong());
+            ui.label(action);
+            ui.end_row();
+        }
+    });
+}
+
+/// A number with its thousands apart.
+fn thousands(n: u64) -> String {
+    let digits = n.to_string();
+    let groups = digits.as_bytes().rchunks(3).rev();
+    let groups: Vec<_> = groups.map(String::from_utf8_lossy).collect();
+    groups.join(" ")
+}
+
+fn bytes(n: u64) -> String {
+    match n {
+        0..1_000 => format!("{n} B"),
+        1_000..1_000_000 => format!("{:.1} kB", n as f64 / 1e3),
+        _ => format!("{:.2} MB", n as f64 / 1e6),
+    }
+}
+
+fn metres(m: f64) -> String {
+    match m.abs() {
+        m if m >= 10_000.0 => format!("{:.0} km", m / 1e3),
+        m if m >= 1_000.0 => format!("{:.1} km", m / 1e3),
+        m if m >= 10.0 => format!("{m:.0} m"),
+        _ => format!("{m:.1} m"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn figures_are_readable() {
+        assert_eq!(thousands(7), "7");
+        assert_eq!(thousands(1_234_567), "1 234 567");
+        assert_eq!([bytes(12), bytes(1234), bytes(12_345_678)], ["12 B", "1.2 kB", "12.35 MB"]);
+        assert_eq!([metres(0.5), metres(1500.0), metres(25_000.0)], ["0.5 m", "1.5 km", "25 km"]);
+    }
+}

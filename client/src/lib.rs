@@ -1,0 +1,15 @@
+//! The thin client of Escarp. In reading order:
+
+pub mod mesh;
+
+pub mod link;
+
+pub mod net;
+
+pub mod camera;
+
+pub mod flight;
+
+pub mod render;
+
+pub mod app;

@@ -1,0 +1,249 @@
+//! What the shaders know of a frame, and what every pass's pipeline has in common.
+
+use super::eye::EyeFrame;
+use super::gpu::Gpu;
+use super::target::{DEPTH_FORMAT, Output};
+use crate::mesh::Vertex;
+use bytemuck::{Pod, Zeroable};
+use escarp_proto::georef::{Georef, Plane};
+use glam::{DVec3, Vec3};
+
+/// Shader source that every pass begins with.
+pub const COMMON: &str = include_str!("common.wgsl");
+
+/// Share of light that a metre of air on the ground scatters: one in 110 km.
+const AIR_A_METRE: f32 = 1.0 / 110_000.0;
+/// Height in which the air's density falls to 1/e, metres.
+const AIR_FALL_M: f32 = 8_000.0;
+/// A body is the Earth if its radius is within this share of the Earth's.
+const EARTH_RADIUS_M: f64 = 6_371_000.0;
+const EARTH_RADIUS_SHARE: f64 = 0.01;
+
+/// Mirrors `Frame` of `common.wgsl`, where the fields are described.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
+pub struct FrameUniform {
+    clip_from_eye: [[f32; 4]; 4],
+    right: [f32; 4],
+    up: [f32; 4],
+    forward: [f32; 4],
+    sun: [f32; 4],
+    spacing: [f32; 4],
+    remainder: [f32; 4],
+    heights: [i32; 4],
+    range: [f32; 4],
+    air: [f32; 4],
+    flags: [u32; 4],
+}
+
+const _: () = assert!(size_of::<FrameUniform>() == 64 + 10 * 16);
+
+/// Where a page is in this frame; mirrors `Page` of `common.wgsl`.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Pod, Zeroable)]
+pub struct PageInstance {
+    /// South-west sample, counted from the eye's cell.
+    pub origin: [i32; 2],
+    /// Grid cells between samples.
+    pub stride: u32,
+}
+
+const _: () = assert!(size_of::<PageInstance>() == 12);
+
+/// What the shaders know of a dataset.
+#[derive(Debug, Clone, Copy)]
+pub struct Body {
+    lowest: i32,
+    relief: f32,
+    quantum_m: f64,
+    air: bool,
+}
+
+impl Body {
+    /// The body of a dataset whose heights are in this range of quanta.
+    pub fn of(georef: &Georef, height_range: Option<[i32; 2]>) -> Body {
+        let [lowest, highest] = height_range.unwrap_or([0, 1]);
+        Body {
+            lowest,
+            relief: (f64::from(highest) - f64::from(lowest)).max(1.0) as f32,
+            quantum_m: georef.quantum_m,
+            air: has_air(&georef.plane),
+        }
+    }
+}
+
+/// The Earth, and what does not say what it is, has air; the Moon has none.
+fn has_air(plane: &Plane) -> bool {
+    match plane {
+        Plane::Geographic { radius_m, .. } => {
+            (radius_m / EARTH_RADIUS_M - 1.0).abs() < EARTH_RADIUS_SHARE
+        }
+        Plane::Projected { crs, .. } => !crs.to_lowercase().contains("moon"),
+        Plane::Local => true,
+    }
+}
+
+impl FrameUniform {
+    pub fn new(eye: &EyeFrame, body: &Body, sun: Vec3, output: Output) -> FrameUniform {
+        let lowest_m = f64::from(body.lowest) * body.quantum_m * eye.exaggeration;
+        let [x, y] = eye.half_tangents;
+        let vector = |v: DVec3| v.as_vec3().extend(0.0).to_array();
+        FrameUniform {
+            clip_from_eye: eye.clip_from_eye().to_cols_array_2d(),
+            right: vector(eye.right * x),
+            up: vector(eye.up * y),
+            forward: vector(eye.forward),
+            sun: sun.normalize_or(Vec3::Z).extend(0.0).to_array(),
+            spacing: eye.spacing_m.extend(eye.exaggeration as f32).to_array(),
+            remainder: eye.remainder_m.extend(0.0).to_array(),
+            heights: [eye.height, body.lowest, 0, 0],
+            range: [1.0 / body.relief, (eye.eye_m.z - lowest_m) as f32, 0.0, 0.0],
+            air: [AIR_A_METRE, AIR_FALL_M, 0.0, 0.0],
+            flags: [u32::from(body.air), u32::from(!output.applies_gamma()), 0, 0],
+        }
+    }
+}
+
+/// The frame's uniform on the GPU, and the layout that all pipelines share.
+pub struct FrameBinding {
+    buffer: wgpu::Buffer,
+    group: wgpu::BindGroup,
+    layout: wgpu::PipelineLayout,
+}
+
+impl FrameBinding {
+    pub fn new(gpu: &Gpu) -> FrameBinding {
+        let buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("frame"),
+            size: size_of::<FrameUniform>() as u64,
+            usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        });
+        let entry = wgpu::BindGroupLayoutEntry {
+            binding: 0,
+            visibility: wgpu::ShaderStages::VERTEX_FRAGMENT,
+            ty: wgpu::BindingType::Buffer {
+                ty: wgpu::BufferBindingType::Uniform,
+                has_dynamic_offset: false,
+                min_binding_size: wgpu::BufferSize::new(size_of::<FrameUniform>() as u64),
+            },
+            count: None,
+        };
+        let group_layout =
+            gpu.device
+                .create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+                    label: Some("frame"),
+                    entries: &[entry],
+                });
+        let group = gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some("frame"),
+            layout: &group_layout,
+            entries: &[wgpu::BindGroupEntry {
+                binding: 0,
+                resource: buffer.as_entire_binding(),
+            }],
+        });
+        let layout = gpu
+            .device
+            .create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+                label: Some("frame"),
+                bind_group_layouts: &[Some(&group_layout)],
+                immediate_size: 0,
+            });
+        FrameBinding {
+            buffer,
+            group,
+            layout,
+        }
+    }
+
+    pub fn write(&self, gpu: &Gpu, frame: &FrameUniform) {
+        gpu.queue.write_buffer(&self.buffer, 0, bytemuck::bytes_of(frame));
+    }
+
+    pub fn bind(&self, pass: &mut wgpu::RenderPass<'_>) {
+        pass.set_bind_group(0, &self.group, &[]);
+    }
+}
+
+/// How one pass differs from the others.
+pub struct PassKind<'a> {
+    pub label: &'a str,
+    /// Follows [`COMMON`].
+    pub shader: &'a str,
+    pub reads_pages: bool,
+    pub primitive: wgpu::PrimitiveState,
+    pub writes_depth: bool,
+    pub depth_compare: wgpu::CompareFunction,
+    pub blend: Option<wgpu::BlendState>,
+}
+
+/// A pass's pipeline.
+pub fn pipeline(
+    gpu: &Gpu,
+    frame: &FrameBinding,
+    output: Output,
+    kind: &PassKind<'_>,
+) -> wgpu::RenderPipeline {
+    let source = format!("{COMMON}\n{}", kind.shader);
+    let module = gpu.device.create_shader_module(wgpu::ShaderModuleDescriptor {
+        label: Some(kind.label),
+        source: wgpu::ShaderSource::Wgsl(source.into()),
+    });
+    let page_buffers = [Some(vertex_layout()), Some(instance_layout())];
+    let target = wgpu::ColorTargetState {
+        format: output.format,
+        blend: kind.blend,
+        write_mask: wgpu::ColorWrites::ALL,
+    };
+    gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+        label: Some(kind.label),
+        layout: Some(&frame.layout),
+        vertex: wgpu::VertexState {
+            module: &module,
+            entry_point: Some("vertex"),
+            compilation_options: Default::default(),
+            buffers: if kind.reads_pages { &page_buffers } else { &[] },
+        },
+        primitive: kind.primitive,
+        depth_stencil: Some(wgpu::DepthStencilState {
+            format: DEPTH_FORMAT,
+            depth_write_enabled: Some(kind.writes_depth),
+            depth_compare: Some(kind.depth_compare),
+            stencil: Default::default(),
+            bias: Default::default(),
+        }),
+        multisample: wgpu::MultisampleState {
+            count: output.samples,
+            ..Default::default()
+        },
+        fragment: Some(wgpu::FragmentState {
+            module: &module,
+            entry_point: Some("fragment"),
+            compilation_options: Default::default(),
+            targets: &[Some(target)],
+        }),
+        multiview_mask: None,
+        cache: None,
+    })
+}
+
+fn vertex_layout() -> wgpu::VertexBufferLayout<'static> {
+    const ATTRIBUTES: [wgpu::VertexAttribute; 2] =
+        wgpu::vertex_attr_array![0 => Sint32, 1 => Snorm8x4];
+    wgpu::VertexBufferLayout {
+        array_stride: size_of::<Vertex>() as u64,
+        step_mode: wgpu::VertexStepMode::Vertex,
+        attributes: &ATTRIBUTES,
+    }
+}
+
+fn instance_layout() -> wgpu::VertexBufferLayout<'static> {
+    const ATTRIBUTES: [wgpu::VertexAttribute; 2] =
+        wgpu::vertex_attr_array![2 => Sint32x2, 3 => Uint32];
+    wgpu::VertexBufferLayout {
+        array_stride: size_of::<PageInstance>() as u64,
+        step_mode: wgpu::VertexStepMode::Instance,
+        attributes: &ATTRIBUTES,
+    }
+}

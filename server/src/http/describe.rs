@@ -1,0 +1,55 @@
+//! A dataset in a few lines of JSON.
+
+use crate::catalog::percent_encoded;
+use crate::native::{NativeCorners, native_corners};
+use crate::source::PageSource;
+use serde::Serialize;
+use std::sync::Arc;
+
+/// The answer of `/datasets`.
+#[derive(Debug, Serialize)]
+pub(super) struct Datasets {
+    pub datasets: Vec<Dataset>,
+}
+
+/// What a user wants to know before connecting.
+#[derive(Debug, Serialize)]
+pub(super) struct Dataset {
+    name: String,
+    /// Where to connect; the dataset's name goes into Hello.
+    session_url: String,
+    manifest_url: String,
+    /// `[[min, max]; 3]` in world coordinates.
+    extent_m: [[f64; 2]; 3],
+    native: NativeCorners,
+    /// Columns and rows.
+    samples: [u32; 2],
+    sample_spacing_m: [f64; 2],
+    /// Levels of squares in the grid.
+    levels: u8,
+    pages: u64,
+    /// On disk.
+    bytes: u64,
+    generation: u64,
+    sources: Vec<String>,
+}
+
+impl Dataset {
+    pub(super) fn of(name: &str, source: &Arc<dyn PageSource>, host: &str) -> Dataset {
+        let manifest = source.manifest();
+        Dataset {
+            name: name.into(),
+            session_url: format!("ws://{host}/session"),
+            manifest_url: format!("http://{host}/{}/manifest", percent_encoded(name)),
+            extent_m: manifest.extent_m(),
+            native: native_corners(manifest),
+            samples: manifest.samples,
+            sample_spacing_m: manifest.georef.sample_spacing_m,
+            levels: manifest.grid_levels.get(),
+            pages: manifest.pages,
+            bytes: manifest.segment_bytes.iter().fold(manifest.index.bytes, |sum, &bytes| sum.saturating_add(bytes)),
+            generation: manifest.generation,
+            sources: manifest.sources.clone(),
+        }
+    }
+}

@@ -1,0 +1,99 @@
+//! The HTTP addresses: datasets, manifests, pages, and the way into a session.
+
+mod describe;
+mod page;
+mod problem;
+
+use crate::catalog::Catalog;
+use crate::socket::{self, Sessions};
+use axum::Router;
+use axum::extract::{Path, Request, State};
+use axum::http::{HeaderMap, Method, StatusCode, header};
+use axum::response::{IntoResponse, Json, Response};
+use axum::routing::get;
+use describe::{Dataset, Datasets};
+pub(crate) use problem::Problem;
+use std::sync::Arc;
+
+/// What every handler needs.
+#[derive(Clone)]
+pub(crate) struct App {
+    pub catalog: Arc<Catalog>,
+    pub sessions: Sessions,
+}
+
+/// All addresses.
+pub(crate) fn router(app: App) -> Router {
+    Router::new()
+        .route("/", get(welcome))
+        .route("/healthz", get(async || "ok\n"))
+        .route("/datasets", get(datasets))
+        .route("/session", get(socket::upgrade))
+        .route("/{name}", get(dataset))
+        .route("/{name}/manifest", get(manifest))
+        .route("/{name}/page/{level}/{x}/{y}", get(page::page))
+        .fallback(unknown)
+        .method_not_allowed_fallback(wrong_method)
+        .with_state(app)
+}
+
+async fn welcome(State(app): State<App>, headers: HeaderMap) -> String {
+    let host = host(&headers);
+    let mut text = format!(
+        "This is an Escarp terrain server.\n\n\
+         Look at a dataset:    escarp-client view http://{host}/NAME\n\
+         List the datasets:    http://{host}/datasets\n\
+         Stream in a program:  ws://{host}/session (proto/PROTOCOL.md in Escarp's source)\n\n\
+         Datasets:\n"
+    );
+    for (name, _) in app.catalog.iter() {
+        text += &format!("  http://{host}/{}\n", crate::catalog::percent_encoded(name));
+    }
+    text
+}
+
+async fn datasets(State(app): State<App>, headers: HeaderMap) -> Json<Datasets> {
+    let host = host(&headers);
+    let describe = |(name, source): (&str, &Arc<_>)| Dataset::of(name, source, host);
+    Json(Datasets {
+        datasets: app.catalog.iter().map(describe).collect(),
+    })
+}
+
+async fn dataset(
+    State(app): State<App>,
+    Path(name): Path<String>,
+    headers: HeaderMap,
+) -> Result<Json<Dataset>, Problem> {
+    let source = app.catalog.get(&name).ok_or_else(|| Problem::no_dataset(&app, &name))?;
+    Ok(Json(Dataset::of(&name, source, host(&headers))))
+}
+
+async fn manifest(
+    State(app): State<App>,
+    Path(name): Path<String>,
+) -> Result<impl IntoResponse, Problem> {
+    let source = app.catalog.get(&name).ok_or_else(|| Problem::no_dataset(&app, &name))?;
+    let headers = [(header::CONTENT_TYPE, "application/json"), (header::CACHE_CONTROL, "no-cache")];
+    Ok((headers, source.manifest_json().to_vec()))
+}
+
+async fn unknown(State(app): State<App>, request: Request) -> Response {
+    Problem::unknown(&app, request.uri().path()).into_response()
+}
+
+async fn wrong_method(method: Method) -> Response {
+    let problem = Problem {
+        status: StatusCode::METHOD_NOT_ALLOWED,
+        error: format!("this server does not {method}"),
+        allowed: vec!["GET".into(), "HEAD".into()],
+        datasets: Vec::new(),
+    };
+    ([(header::ALLOW, "GET, HEAD")], problem).into_response()
+}
+
+/// The server's host and port as the client addressed it.
+fn host(headers: &HeaderMap) -> &str {
+    let host = headers.get(header::HOST).and_then(|host| host.to_str().ok());
+    host.unwrap_or("localhost")
+}

@@ -1,0 +1,67 @@
+//! Answers to requests that cannot be granted: what was wrong, and what is allowed.
+
+use super::App;
+use axum::http::StatusCode;
+use axum::response::{IntoResponse, Json, Response};
+use serde::Serialize;
+
+/// The addresses of the server, for those who took a wrong one.
+const ADDRESSES: [&str; 6] = [
+    "/",
+    "/healthz",
+    "/datasets",
+    "/{name}/manifest",
+    "/{name}/page/{level}/{x}/{y}",
+    "/session (WebSocket)",
+];
+
+/// A JSON body for an error status.
+#[derive(Debug, Serialize)]
+pub(crate) struct Problem {
+    #[serde(skip)]
+    pub status: StatusCode,
+    /// What is wrong, a sentence for people.
+    pub error: String,
+    /// What is allowed in its place.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub allowed: Vec<String>,
+    /// The names of the datasets, where the name was wrong.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub datasets: Vec<String>,
+}
+
+impl Problem {
+    /// Status 404: there is no such address.
+    pub(super) fn unknown(app: &App, path: &str) -> Problem {
+        Problem {
+            status: StatusCode::NOT_FOUND,
+            error: format!("there is no {path} here"),
+            allowed: ADDRESSES.map(Into::into).into(),
+            datasets: app.catalog.names().map(Into::into).collect(),
+        }
+    }
+
+    /// Status 404: there is no such dataset.
+    pub(super) fn no_dataset(app: &App, name: &str) -> Problem {
+        Problem {
+            error: format!("there is no dataset `{name}` here"),
+            ..Problem::unknown(app, name)
+        }
+    }
+
+    /// An error status with nothing to choose from.
+    pub(crate) fn plain(status: StatusCode, error: impl Into<String>) -> Problem {
+        Problem {
+            status,
+            error: error.into(),
+            allowed: Vec::new(),
+            datasets: Vec::new(),
+        }
+    }
+}
+
+impl IntoResponse for Problem {
+    fn into_response(self) -> Response {
+        (self.status, Json(self)).into_response()
+    }
+}

@@ -1,0 +1,62 @@
+//! The newest view, looked at no more often than announced.
+
+use escarp_proto::view::View;
+use std::time::Duration;
+
+/// A view and its sequence number.
+pub(super) type Numbered = (u32, View);
+
+/// Lets a view through at most once an interval; of those that come sooner, keeps the newest.
+#[derive(Debug)]
+pub(super) struct ViewGate {
+    interval: Duration,
+    opens: Duration,
+    newest_received: u32,
+    waiting: Option<Numbered>,
+    current: Option<Numbered>,
+}
+
+impl ViewGate {
+    pub(super) fn new(views_per_second: u32) -> ViewGate {
+        ViewGate {
+            interval: Duration::from_secs(1) / views_per_second.max(1),
+            opens: Duration::ZERO,
+            newest_received: 0,
+            waiting: None,
+            current: None,
+        }
+    }
+
+    /// Takes a view in. `false` if its sequence number did not grow; then nothing changes.
+    pub(super) fn receive(&mut self, view: Numbered) -> bool {
+        let grows = view.0 > self.newest_received;
+        if grows {
+            self.newest_received = view.0;
+            self.waiting = Some(view);
+        }
+        grows
+    }
+
+    /// Makes the waiting view the current one if its time has come; whether it did.
+    pub(super) fn advance(&mut self, now: Duration) -> bool {
+        if now < self.opens {
+            return false;
+        }
+        let Some(view) = self.waiting.take() else {
+            return false;
+        };
+        self.current = Some(view);
+        self.opens = now + self.interval;
+        true
+    }
+
+    /// When a waiting view will become current.
+    pub(super) fn deadline(&self) -> Option<Duration> {
+        self.waiting.map(|_| self.opens)
+    }
+
+    /// The view that is looked at.
+    pub(super) fn current(&self) -> Option<Numbered> {
+        self.current
+    }
+}

@@ -1,0 +1,249 @@
+//! Drives one session's core over one socket.
+//!
+//! Messages are read while a frame is being written, and the next frame is chosen only when the
+//! last one has gone, so that a Cancel takes effect between frames. Records are read on the
+//! blocking pool: a fault in mapped memory must not hold up the other sessions.
+
+use super::Phase;
+use super::outgoing::Outgoing;
+use crate::limits::Limits;
+use crate::session::{CloseReason, Session};
+use axum::body::Bytes;
+use axum::extract::ws::{CloseFrame, Message, WebSocket, close_code};
+use escarp_proto::wire::{ErrorCode, PeerError};
+use futures_util::StreamExt;
+use futures_util::stream::SplitStream;
+use std::time::Duration;
+use tokio::sync::watch;
+use tokio::time::{Instant, sleep_until, timeout};
+
+/// Longest text of a close frame, bytes (RFC 6455, section 5.5, less the code).
+const CLOSE_TEXT: usize = 123;
+
+/// Serves a session to its end.
+pub(super) async fn drive(
+    socket: WebSocket,
+    session: Session,
+    limits: &Limits,
+    phase: watch::Receiver<Phase>,
+) {
+    tracing::debug!("opened");
+    let (sink, incoming) = socket.split();
+    let now = Instant::now();
+    let mut driver = Driver {
+        session: Some(session),
+        outgoing: Outgoing::new(sink),
+        incoming,
+        reading: true,
+        limits,
+        phase,
+        started: now,
+        heard: now,
+        pinged: now,
+    };
+    match driver.run().await {
+        End::Closed(reason) => {
+            tracing::info!(?reason, "closed");
+            driver.farewell(&reason).await;
+        }
+        End::Lost(why) => tracing::info!(why, "lost"),
+    }
+}
+
+/// How a session ended.
+enum End {
+    /// By a message of either side.
+    Closed(CloseReason),
+    /// With its connection.
+    Lost(String),
+}
+
+struct Driver<'a> {
+    /// Away only while records are read for it.
+    session: Option<Session>,
+    outgoing: Outgoing,
+    incoming: SplitStream<WebSocket>,
+    /// Whether the client's side is still open.
+    reading: bool,
+    limits: &'a Limits,
+    phase: watch::Receiver<Phase>,
+    started: Instant,
+    heard: Instant,
+    pinged: Instant,
+}
+
+impl Driver<'_> {
+    async fn run(&mut self) -> End {
+        loop {
+            let end = match self.fill().await {
+                Ok(()) => self.wait().await,
+                end => end,
+            };
+            if let Err(end) = end {
+                return end;
+            }
+        }
+    }
+
+    /// Starts the next message, if there is one and the last one has gone.
+    async fn fill(&mut self) -> Result<(), End> {
+        if self.outgoing.since().is_some() {
+            return Ok(());
+        }
+        let (session, message) = next_message(self.session.take()).await?;
+        let reason = session.close_reason().cloned();
+        self.session = Some(session);
+        match (message, reason) {
+            (Some(message), _) => self.outgoing.start(Message::Binary(message.into())),
+            (None, Some(reason)) => return Err(End::Closed(reason)),
+            (None, None) if Instant::now() >= self.ping_due() => {
+                self.pinged = Instant::now();
+                self.outgoing.start(Message::Ping(Bytes::new()));
+            }
+            (None, None) => {}
+        }
+        Ok(())
+    }
+
+    /// Waits for whatever happens next, and handles it.
+    async fn wait(&mut self) -> Result<(), End> {
+        let deadline = self.deadline();
+        let receive = self.reading && self.session().is_some_and(|session| session.can_receive());
+        let writing = self.outgoing.since().is_some();
+        tokio::select! {
+            sent = self.outgoing.progress(), if writing => sent.map_err(|error| lost(&error)),
+            message = self.incoming.next(), if receive => self.handle(message),
+            () = sleep_until(deadline) => self.handle_timeout(),
+            changed = self.phase.changed() => {
+                // The sender lives as long as the server: without it, everything stops.
+                let phase = changed.map_or(Phase::Stopped, |()| *self.phase.borrow());
+                self.handle_phase(phase)
+            }
+        }
+    }
+
+    fn session(&mut self) -> Option<&mut Session> {
+        self.session.as_mut()
+    }
+
+    /// What the session's core takes for the time.
+    fn now(&self) -> Duration {
+        self.started.elapsed()
+    }
+
+    fn ping_due(&self) -> Instant {
+        self.heard.max(self.pinged) + self.limits.ping_interval
+    }
+
+    fn deadline(&self) -> Instant {
+        let timeout = self.session.as_ref().and_then(Session::poll_timeout);
+        let other = match self.outgoing.since() {
+            Some(since) => since + self.limits.send_timeout,
+            None => self.ping_due(),
+        };
+        timeout.map_or(other, |timeout| other.min(self.started + timeout))
+    }
+
+    fn handle_timeout(&mut self) -> Result<(), End> {
+        let stalled = self.outgoing.since().map(|since| since.elapsed());
+        if stalled.is_some_and(|stalled| stalled >= self.limits.send_timeout) {
+            return Err(End::Lost("the client does not read".into()));
+        }
+        let now = self.now();
+        if let Some(session) = self.session() {
+            session.handle_timeout(now);
+        }
+        Ok(())
+    }
+
+    fn handle_phase(&mut self, phase: Phase) -> Result<(), End> {
+        match (phase, self.session()) {
+            (Phase::Stopped, _) => return Err(End::Lost("not ended in time".into())),
+            (Phase::Draining, Some(session)) => {
+                session.close(ErrorCode::ShuttingDown, "the server is going down");
+            }
+            _ => {}
+        }
+        Ok(())
+    }
+
+    fn handle(&mut self, message: Option<Result<Message, axum::Error>>) -> Result<(), End> {
+        self.heard = Instant::now();
+        let now = self.now();
+        let Some(session) = self.session.as_mut() else {
+            return Ok(());
+        };
+        match message {
+            Some(Ok(Message::Binary(bytes))) => session.handle_message(&bytes, now),
+            Some(Ok(Message::Ping(_) | Message::Pong(_))) => session.handle_sign_of_life(now),
+            Some(Ok(Message::Text(_))) => {
+                session.close(ErrorCode::Protocol, "a text message; all messages are binary");
+            }
+            Some(Ok(Message::Close(_))) | None => {
+                return Err(End::Lost("the client closed the connection".into()));
+            }
+            Some(Err(error)) => {
+                // Either the connection is gone, or a frame is broken or far too long; then the
+                // client can still be told.
+                self.reading = false;
+                session.close(ErrorCode::Protocol, &error.to_string());
+            }
+        }
+        Ok(())
+    }
+
+    /// Closes the connection, and gives the client time to read why: a socket that is closed with
+    /// unread bytes in it is reset, and takes what was sent with it.
+    async fn farewell(&mut self, reason: &CloseReason) {
+        let within = self.limits.close_timeout;
+        let close = Message::Close(Some(close_frame(reason)));
+        self.outgoing.finish(close, within).await;
+        if self.reading {
+            let drained = async { while let Some(Ok(_)) = self.incoming.next().await {} };
+            // Whether the client answers or not, the session is over.
+            let _ = timeout(within, drained).await;
+        }
+    }
+}
+
+/// The session's next message, read on the blocking pool if records are needed.
+async fn next_message(session: Option<Session>) -> Result<(Session, Option<Vec<u8>>), End> {
+    let Some(mut session) = session else {
+        return Err(End::Lost("a record could not be read".into()));
+    };
+    let control = session.poll_control();
+    if control.is_some() || !session.has_pages() {
+        return Ok((session, control));
+    }
+    let read = tokio::task::spawn_blocking(move || {
+        let message = session.poll_message();
+        (session, message)
+    });
+    read.await.map_err(|error| End::Lost(format!("reading records: {error}")))
+}
+
+fn lost(error: &axum::Error) -> End {
+    End::Lost(error.to_string())
+}
+
+fn close_frame(reason: &CloseReason) -> CloseFrame {
+    let (code, text) = match reason {
+        CloseReason::Client(_) => (close_code::NORMAL, ""),
+        CloseReason::Server(PeerError { code, text }) => (close_code_of(*code), text.as_str()),
+    };
+    CloseFrame {
+        code,
+        reason: text[..text.floor_char_boundary(CLOSE_TEXT)].into(),
+    }
+}
+
+fn close_code_of(code: ErrorCode) -> u16 {
+    match code {
+        ErrorCode::Protocol => close_code::PROTOCOL,
+        ErrorCode::ShuttingDown => close_code::AWAY,
+        ErrorCode::Internal => close_code::ERROR,
+        ErrorCode::Version | ErrorCode::NoDataset | ErrorCode::Limit | ErrorCode::Denied => {
+            close_code::POLICY
+        }
+    }
+}

@@ -1,0 +1,107 @@
+//! Sessions over WebSocket: who may open one, and how they end.
+
+mod drive;
+mod outgoing;
+
+use crate::http::{App, Problem};
+use crate::limits::{Limits, SOCKET_MESSAGE_BYTES};
+use crate::session::Session;
+use axum::extract::State;
+use axum::extract::ws::{WebSocketUpgrade, rejection::WebSocketUpgradeRejection};
+use axum::http::{StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use escarp_proto::wire::MAX_SERVER_MESSAGE;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use tokio::sync::{Semaphore, watch};
+use tracing::Instrument;
+
+/// Bytes that a socket reads at a time. The default, 128 KiB a session, is for bigger messages.
+const READ_BUFFER_BYTES: usize = 8 << 10;
+
+/// How far the server is from its end.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Phase {
+    /// New sessions are welcome.
+    Serving,
+    /// Sessions are told to go.
+    Draining,
+    /// Whatever is left is dropped.
+    Stopped,
+}
+
+/// The places for sessions.
+#[derive(Clone)]
+pub(crate) struct Sessions {
+    limits: Arc<Limits>,
+    places: Arc<Semaphore>,
+    phase: watch::Receiver<Phase>,
+    opened: Arc<AtomicU64>,
+}
+
+impl Sessions {
+    pub(crate) fn new(limits: Arc<Limits>, phase: watch::Receiver<Phase>) -> Sessions {
+        Sessions {
+            places: Arc::new(Semaphore::new(places(&limits) as usize)),
+            limits,
+            phase,
+            opened: Arc::default(),
+        }
+    }
+
+    /// Waits until there is no session.
+    pub(crate) async fn ended(&self) {
+        // The semaphore is never closed; all places free means that nobody is left.
+        let _ = self.places.acquire_many(places(&self.limits)).await;
+    }
+}
+
+/// Sessions allowed, within what a semaphore can count.
+fn places(limits: &Limits) -> u32 {
+    u32::try_from(limits.sessions).unwrap_or(u32::MAX).min(u32::MAX >> 4)
+}
+
+/// `/session`: opens a session, if there is a place.
+pub(crate) async fn upgrade(
+    State(app): State<App>,
+    upgrade: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
+) -> Response {
+    let upgrade = match upgrade {
+        Ok(upgrade) => upgrade,
+        Err(rejection) => {
+            let text = format!("/session takes WebSocket connections only: {rejection}");
+            return Problem::plain(rejection.status(), text).into_response();
+        }
+    };
+    let sessions = app.sessions;
+    let serving = *sessions.phase.borrow() == Phase::Serving;
+    let Some(place) = sessions.places.clone().try_acquire_owned().ok().filter(|_| serving) else {
+        return busy(&sessions.limits);
+    };
+    let id = sessions.opened.fetch_add(1, Ordering::Relaxed);
+    let span = tracing::info_span!("session", id);
+    let session = Session::new(app.catalog, sessions.limits.as_ref().clone());
+    bounded(upgrade).on_upgrade(move |socket| {
+        let driven = async move {
+            drive::drive(socket, session, &sessions.limits, sessions.phase).await;
+            drop(place);
+        };
+        driven.instrument(span)
+    })
+}
+
+/// The library's own bounds are 64 MiB for a message, and none for what waits to be written.
+fn bounded(upgrade: WebSocketUpgrade) -> WebSocketUpgrade {
+    upgrade
+        .read_buffer_size(READ_BUFFER_BYTES)
+        .max_message_size(SOCKET_MESSAGE_BYTES)
+        .max_frame_size(SOCKET_MESSAGE_BYTES)
+        .write_buffer_size(0)
+        .max_write_buffer_size(MAX_SERVER_MESSAGE + READ_BUFFER_BYTES)
+}
+
+fn busy(limits: &Limits) -> Response {
+    let error = format!("all {} sessions are taken; try again later", limits.sessions);
+    let problem = Problem::plain(StatusCode::SERVICE_UNAVAILABLE, error);
+    ([(header::RETRY_AFTER, "5")], problem).into_response()
+}

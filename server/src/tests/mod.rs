@@ -1,0 +1,3 @@
+//! The server over real loopback sockets, on a fake dataset.
+
+pub(crate) mod fake;

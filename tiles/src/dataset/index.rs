@@ -1,0 +1,142 @@
+//! The index: where each family lies. Sorted, mapped, searched by halving.
+
+use super::map::Mapped;
+use super::{DatasetError, FamilyId};
+use crate::checksum::crc32c;
+use escarp_proto::bytes::Reader;
+use escarp_proto::manifest::{FileCheck, Manifest};
+use std::fs::File;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+const MAGIC: &[u8; 8] = b"ESCARPIX";
+const HEAD: usize = 8 + 8 + 8;
+const ENTRY: usize = 8 + 8 + 4 + 4;
+
+/// Where a family lies.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct IndexEntry {
+    /// The family.
+    pub family: FamilyId,
+    /// Its first byte in the segment.
+    pub offset: u64,
+    /// Its length.
+    pub bytes: u32,
+    /// The segment's place in the manifest.
+    pub segment: u32,
+}
+
+/// The index of a generation, checked.
+#[derive(Debug)]
+pub(super) struct Index {
+    map: Mapped,
+}
+
+fn index_path(folder: &Path, generation: u64) -> PathBuf {
+    folder.join(format!("index-{generation}"))
+}
+
+impl Index {
+    pub(super) fn open(folder: &Path, manifest: &Manifest) -> Result<Index, DatasetError> {
+        let path = index_path(folder, manifest.generation);
+        let map = Mapped::open(&path, manifest.index.bytes)?;
+        let found = crc32c(map.bytes());
+        let stored = manifest.index.crc32c;
+        if found != stored {
+            let why = format!("checksum {found:08x}, the manifest says {stored:08x}");
+            return Err(DatasetError::damaged(&path, why));
+        }
+        let index = Index { map };
+        index.check(&path, manifest)?;
+        Ok(index)
+    }
+
+    fn check(&self, path: &Path, manifest: &Manifest) -> Result<(), DatasetError> {
+        let bytes = self.map.bytes();
+        let mut head = Reader::new(bytes);
+        let magic = head.take(8) == Some(MAGIC);
+        let generation = head.u64() == Some(manifest.generation);
+        let count = head.u64().and_then(|n| usize::try_from(n).ok()?.checked_mul(ENTRY));
+        if !(magic && generation && count == Some(head.left())) {
+            let why = "magic, generation or number of entries is not as in tiles/FORMAT.md";
+            return Err(DatasetError::damaged(path, why));
+        }
+        let mut last = None;
+        for (i, raw) in bytes[HEAD..].chunks_exact(ENTRY).enumerate() {
+            let entry = parse(raw).filter(|entry| {
+                let segment = manifest.segments.get(entry.segment as usize);
+                let end = entry.offset.checked_add(u64::from(entry.bytes));
+                Some(entry.family) > last && segment.is_some_and(|s| end <= Some(s.bytes))
+            });
+            let Some(entry) = entry else {
+                let why = format!("entry {i} is out of order or points outside its segment");
+                return Err(DatasetError::damaged(path, why));
+            };
+            last = Some(entry.family);
+        }
+        Ok(())
+    }
+
+    pub(super) fn entries(&self) -> impl Iterator<Item = IndexEntry> + '_ {
+        self.map.bytes()[HEAD..].chunks_exact(ENTRY).filter_map(parse)
+    }
+
+    pub(super) fn find(&self, family: FamilyId) -> Option<IndexEntry> {
+        let entries = &self.map.bytes()[HEAD..];
+        let (mut low, mut high) = (0, entries.len() / ENTRY);
+        while low < high {
+            let middle = (low + high) / 2;
+            let entry = parse(&entries[middle * ENTRY..][..ENTRY])?;
+            match entry.family.cmp(&family) {
+                std::cmp::Ordering::Less => low = middle + 1,
+                std::cmp::Ordering::Equal => return Some(entry),
+                std::cmp::Ordering::Greater => high = middle,
+            }
+        }
+        None
+    }
+}
+
+fn parse(raw: &[u8]) -> Option<IndexEntry> {
+    let mut reader = Reader::new(raw);
+    Some(IndexEntry {
+        family: FamilyId::from_u64(reader.u64()?)?,
+        offset: reader.u64()?,
+        bytes: reader.u32()?,
+        segment: reader.u32()?,
+    })
+}
+
+/// Writes and syncs the index of a generation. Sorts the entries.
+pub(super) fn write_index(
+    folder: &Path,
+    generation: u64,
+    entries: &mut [IndexEntry],
+) -> Result<FileCheck, DatasetError> {
+    entries.sort_unstable_by_key(|entry| entry.family);
+    let mut bytes = Vec::with_capacity(HEAD + entries.len() * ENTRY);
+    bytes.extend(MAGIC);
+    bytes.extend(generation.to_le_bytes());
+    bytes.extend((entries.len() as u64).to_le_bytes());
+    for entry in entries.iter() {
+        bytes.extend(entry.family.to_u64().to_le_bytes());
+        bytes.extend(entry.offset.to_le_bytes());
+        bytes.extend(entry.bytes.to_le_bytes());
+        bytes.extend(entry.segment.to_le_bytes());
+    }
+    let path = index_path(folder, generation);
+    write_synced(&path, &bytes)?;
+    Ok(FileCheck {
+        bytes: bytes.len() as u64,
+        crc32c: crc32c(&bytes),
+    })
+}
+
+/// Writes a file and makes it durable.
+pub(super) fn write_synced(path: &Path, bytes: &[u8]) -> Result<(), DatasetError> {
+    let written = File::create(path).and_then(|mut file| {
+        file.write_all(bytes)?;
+        file.sync_all()
+    });
+    written.map_err(DatasetError::io(path, "write"))
+}

@@ -1,0 +1,57 @@
+//! The one place that maps files.
+//!
+//! A mapped file that is shortened by someone else kills the process with SIGBUS when the missing
+//! part is read. Three things stand against that: published files are immutable, the length is
+//! compared before mapping, and old generations are unlinked, never truncated.
+
+use super::DatasetError;
+use memmap2::{Mmap, MmapOptions};
+use std::fs::File;
+use std::path::{Path, PathBuf};
+
+/// A file, mapped read-only.
+#[derive(Debug)]
+pub(super) struct Mapped {
+    path: PathBuf,
+    map: Option<Mmap>,
+}
+
+impl Mapped {
+    /// Maps a file that must have exactly this length.
+    pub(super) fn open(path: &Path, bytes: u64) -> Result<Mapped, DatasetError> {
+        let file = File::open(path).map_err(|source| match source.kind() {
+            std::io::ErrorKind::NotFound => {
+                DatasetError::damaged(path, "the file is missing, but the manifest names it")
+            }
+            _ => DatasetError::io(path, "open")(source),
+        })?;
+        let found = file.metadata().map_err(DatasetError::io(path, "read length"))?.len();
+        if found != bytes {
+            let why = format!("{found} bytes long, the manifest says {bytes}");
+            return Err(DatasetError::damaged(path, why));
+        }
+        Ok(Mapped {
+            path: path.to_path_buf(),
+            map: map_file(&file, bytes).map_err(DatasetError::io(path, "map"))?,
+        })
+    }
+
+    pub(super) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    pub(super) fn bytes(&self) -> &[u8] {
+        self.map.as_deref().unwrap_or(&[])
+    }
+}
+
+/// An empty file cannot be mapped.
+#[allow(unsafe_code, reason = "mapping is what this module is for")]
+fn map_file(file: &File, bytes: u64) -> std::io::Result<Option<Mmap>> {
+    if bytes == 0 {
+        return Ok(None);
+    }
+    // SAFETY: published files are immutable and are never shortened (module documentation), so
+    // the bytes do not change under the shared reference.
+    unsafe { MmapOptions::new().map(file) }.map(Some)
+}

@@ -1,0 +1,147 @@
+//! A published dataset: opened, mapped read-only, and read page by page.
+//!
+//! Invariants, checked when a dataset is opened: every file has the length that the manifest
+//! says; manifest and index match their checksums; the index is ascending and points inside the
+//! segments. Family tables and records are checked when they are read.
+//!
+//! `tiles/FORMAT.md` has the byte map.
+
+mod current;
+mod error;
+mod family;
+mod index;
+mod map;
+mod read;
+mod write;
+
+pub use current::{Current, current_path};
+pub use error::DatasetError;
+pub use family::{FamilyId, FamilyTable, StoredRecord};
+pub use index::IndexEntry;
+pub use read::PageReader;
+pub use write::{DatasetWriter, FamilyBytes, MAX_SEGMENT_BYTES};
+
+use escarp_proto::geometry::{GridLevels, PageId};
+use escarp_proto::manifest::Manifest;
+use index::Index;
+use map::Mapped;
+use std::path::{Path, PathBuf};
+
+/// A dataset of one generation. Files of that generation are immutable: while it is open, nothing
+/// may shorten them (`map` says why).
+#[derive(Debug)]
+pub struct Dataset {
+    folder: PathBuf,
+    name: String,
+    manifest: Manifest,
+    manifest_json: Vec<u8>,
+    index: Index,
+    segments: Vec<Mapped>,
+}
+
+impl Dataset {
+    /// Opens the published generation.
+    ///
+    /// # Errors
+    /// [`DatasetError`] if the folder is no finished dataset, or a file is missing, has another
+    /// length than stated, or does not match its checksum.
+    pub fn open(folder: &Path) -> Result<Dataset, DatasetError> {
+        let current = Current::read(folder)?;
+        let manifest_json = current.read_manifest(folder)?;
+        let manifest = Manifest::from_json(&manifest_json)
+            .map_err(|why| DatasetError::damaged(&current.manifest_path(folder), why))?;
+        let index = Index::open(folder, &manifest)?;
+        let segments = manifest
+            .segments
+            .iter()
+            .map(|segment| Mapped::open(&segment_path(folder, &segment.file)?, segment.bytes))
+            .collect::<Result<_, _>>()?;
+        Ok(Dataset {
+            folder: folder.to_path_buf(),
+            name: name_of(folder),
+            manifest,
+            manifest_json,
+            index,
+            segments,
+        })
+    }
+
+    /// The folder's name without `.escarp`: the last part of the dataset's address.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Where it lies.
+    pub fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// The manifest.
+    pub fn manifest(&self) -> &Manifest {
+        &self.manifest
+    }
+
+    /// The manifest's bytes as published.
+    pub fn manifest_json(&self) -> &[u8] {
+        &self.manifest_json
+    }
+
+    /// Depth of the grid.
+    pub fn grid(&self) -> GridLevels {
+        self.manifest.grid_levels
+    }
+
+    /// Bytes of the whole dataset on disk.
+    pub fn total_bytes(&self) -> u64 {
+        let segments: u64 = self.manifest.segments.iter().map(|segment| segment.bytes).sum();
+        segments + self.manifest.index.bytes + self.manifest_json.len() as u64
+    }
+
+    /// A page's record, checked against its revision. `None` if none is stored.
+    ///
+    /// # Errors
+    /// [`DatasetError::Damaged`] if the family's table or the record does not match its checksum.
+    pub fn record(&self, page: PageId) -> Result<Option<StoredRecord<'_>>, DatasetError> {
+        if !self.grid().holds(page) {
+            return Ok(None);
+        }
+        let family = FamilyId::of(page);
+        match self.index.find(family) {
+            Some(entry) => self.family(&entry)?.record(page),
+            None => Ok(None),
+        }
+    }
+
+    /// All families, by id, ascending.
+    pub fn families(&self) -> impl Iterator<Item = IndexEntry> + '_ {
+        self.index.entries()
+    }
+
+    /// The table of a family, checked.
+    ///
+    /// # Errors
+    /// [`DatasetError::Damaged`] if it does not match its checksum.
+    pub fn family(&self, entry: &IndexEntry) -> Result<FamilyTable<'_>, DatasetError> {
+        let segment = &self.segments[entry.segment as usize];
+        let start = entry.offset as usize;
+        let bytes = &segment.bytes()[start..start + entry.bytes as usize];
+        FamilyTable::read(entry.family, bytes, segment.path(), entry.offset)
+    }
+}
+
+/// A segment's path; its name is checked, as it comes from a file.
+fn segment_path(folder: &Path, file: &str) -> Result<PathBuf, DatasetError> {
+    let plain = file.starts_with("seg-")
+        && file[4..].bytes().all(|b| b.is_ascii_digit() || b == b'-');
+    if !plain {
+        let why = format!("segment named {file:?}, allowed is seg-<generation>-<number>");
+        return Err(DatasetError::damaged(folder, why));
+    }
+    Ok(folder.join(file))
+}
+
+/// The last part of a dataset's address.
+pub fn name_of(folder: &Path) -> String {
+    let name = folder.file_name().unwrap_or(folder.as_os_str()).to_string_lossy();
+    name.strip_suffix(".escarp").unwrap_or(&name).to_owned()
+}

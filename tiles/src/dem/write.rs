@@ -1,0 +1,196 @@
+//! Writes any source as a GeoTIFF of 32-bit floats: tiled, deflate, predictor 3, streamed by rows
+//! of tiles (the encoder's own strip calls do not compress when streamed).
+
+use std::io::{BufWriter, Seek, Write};
+use std::path::Path;
+
+use rayon::prelude::*;
+use tempfile::NamedTempFile;
+use tiff::TiffError;
+use tiff::encoder::compression::{CompressionAlgorithm, Deflate, DeflateLevel};
+use tiff::encoder::{DirectoryEncoder, TiffEncoder, TiffKind, TiffKindBig, TiffKindStandard};
+use tiff::tags::{CompressionMethod, Predictor, SampleFormat, Tag};
+
+use super::{Crs, DemError, DemInfo, DemSource, Registration};
+
+/// Samples on a side of a tile.
+const TILE: u32 = 256;
+
+/// Raw bytes above which the file is a BigTIFF: offsets of a classic one end at 4 GiB.
+const CLASSIC_BYTES: u64 = 3 << 30;
+
+const USER_DEFINED: u16 = 32767;
+
+/// Writes `source` to `path`, in metres; holes become NaN, declared as nodata. The file appears
+/// when it is whole. Holds one row of tiles in memory.
+///
+/// # Errors
+/// Those of reading the source; [`DemError::Io`] naming `path`.
+pub fn write_geotiff(path: &Path, source: &mut dyn DemSource) -> Result<(), DemError> {
+    let info = source.info();
+    let raw_bytes = u64::from(info.width) * u64::from(info.height) * 4;
+    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let failed = |doing| move |error| DemError::io(path, doing, error);
+    let file = NamedTempFile::new_in(folder).map_err(failed("create"))?;
+    let mut out = BufWriter::new(file);
+    if raw_bytes < CLASSIC_BYTES {
+        write::<_, TiffKindStandard>(&mut out, source, path)?;
+    } else {
+        write::<_, TiffKindBig>(&mut out, source, path)?;
+    }
+    let file = out.into_inner().map_err(|e| DemError::io(path, "write", e.into_error()))?;
+    file.as_file().sync_all().map_err(failed("sync"))?;
+    file.persist(path).map_err(|e| DemError::io(path, "rename", e.error))?;
+    Ok(())
+}
+
+fn write<W: Write + Seek, K: TiffKind>(
+    out: W,
+    source: &mut dyn DemSource,
+    path: &Path,
+) -> Result<(), DemError> {
+    let failed = |error| tiff_failed(error, path);
+    let mut tiff = TiffEncoder::<W, K>::new_generic(out).map_err(failed)?;
+    let mut directory = tiff.image_directory().map_err(failed)?;
+    write_tags(&mut directory, source.info()).map_err(failed)?;
+    let (mut offsets, mut counts) = (Vec::new(), Vec::new());
+    let height = source.info().height;
+    for top in (0..height).step_by(TILE as usize) {
+        for tile in tile_row(source, top, TILE.min(height - top), path)? {
+            offsets.push(directory.write_data(&tile[..]).map_err(failed)?);
+            counts.push(tile.len() as u64);
+        }
+    }
+    write_offsets::<_, K>(&mut directory, Tag::TileOffsets, &offsets).map_err(failed)?;
+    write_offsets::<_, K>(&mut directory, Tag::TileByteCounts, &counts).map_err(failed)?;
+    directory.finish().map_err(failed)
+}
+
+/// Compressed tiles of one row of tiles.
+fn tile_row(
+    source: &mut dyn DemSource,
+    top: u32,
+    rows: u32,
+    path: &Path,
+) -> Result<Vec<Vec<u8>>, DemError> {
+    let width = source.info().width;
+    let mut heights = vec![0.0; rows as usize * width as usize];
+    source.read_rows(top, rows, &mut heights)?;
+    let compress = |left: u32| {
+        let mut raw = Vec::with_capacity((TILE * TILE * 4) as usize);
+        for row in 0..TILE {
+            // Beyond the border the last sample is repeated, which compresses to nothing.
+            let start = row.min(rows - 1) as usize * width as usize;
+            let column = |c: u32| heights[start + (left + c).min(width - 1) as usize] as f32;
+            predict(&(0..TILE).map(column).collect::<Vec<_>>(), &mut raw);
+        }
+        let mut packed = Vec::new();
+        Deflate::with_level(DeflateLevel::Balanced).write_to(&mut packed, &raw).map(|_| packed)
+    };
+    let lefts: Vec<u32> = (0..width).step_by(TILE as usize).collect();
+    let tiles: Result<_, std::io::Error> = lefts.into_par_iter().map(compress).collect();
+    tiles.map_err(|e| DemError::io(path, "compress", e))
+}
+
+/// TIFF predictor 3 (Adobe, "TIFF Technical Note 3", 2005): the row's most significant bytes
+/// first, then the next ones, each byte as the difference to the one before.
+pub(super) fn predict(row: &[f32], out: &mut Vec<u8>) {
+    let mut last = 0u8;
+    for byte in 0..4 {
+        for sample in row {
+            let value = sample.to_be_bytes()[byte];
+            out.push(value.wrapping_sub(last));
+            last = value;
+        }
+    }
+}
+
+type Directory<'a, W, K> = DirectoryEncoder<'a, W, K>;
+
+fn write_tags<W: Write + Seek, K: TiffKind>(
+    directory: &mut Directory<'_, W, K>,
+    info: &DemInfo,
+) -> Result<(), TiffError> {
+    directory.write_tag(Tag::ImageWidth, info.width)?;
+    directory.write_tag(Tag::ImageLength, info.height)?;
+    directory.write_tag(Tag::BitsPerSample, 32u16)?;
+    directory.write_tag(Tag::Compression, CompressionMethod::Deflate.to_u16())?;
+    directory.write_tag(Tag::PhotometricInterpretation, 1u16)?;
+    directory.write_tag(Tag::SamplesPerPixel, 1u16)?;
+    directory.write_tag(Tag::SampleFormat, SampleFormat::IEEEFP.to_u16())?;
+    directory.write_tag(Tag::Predictor, Predictor::FloatingPoint.to_u16())?;
+    directory.write_tag(Tag::TileWidth, TILE)?;
+    directory.write_tag(Tag::TileLength, TILE)?;
+    directory.write_tag(Tag::GdalNodata, "nan")?;
+    if info.crs != Crs::Local {
+        write_place(directory, info)?;
+    }
+    Ok(())
+}
+
+fn write_place<W: Write + Seek, K: TiffKind>(
+    directory: &mut Directory<'_, W, K>,
+    info: &DemInfo,
+) -> Result<(), TiffError> {
+    let place = &info.placement;
+    let shift = match info.registration {
+        Registration::Grid => 0.0,
+        Registration::Cell => 0.5,
+    };
+    let (x, y) = (place.x0 - shift * place.dx, place.y0 + shift * place.dy);
+    directory.write_tag(Tag::ModelPixelScaleTag, &[place.dx, place.dy, 0.0][..])?;
+    directory.write_tag(Tag::ModelTiepointTag, &[0.0, 0.0, 0.0, x, y, 0.0][..])?;
+    let (keys, doubles, citation) = geo_keys(info);
+    directory.write_tag(Tag::GeoKeyDirectoryTag, &keys[..])?;
+    directory.write_tag(Tag::GeoDoubleParamsTag, &doubles[..])?;
+    directory.write_tag(Tag::GeoAsciiParamsTag, &citation[..])
+}
+
+/// Key directory, doubles and citation, sorted by key as the standard demands.
+fn geo_keys(info: &DemInfo) -> (Vec<u16>, Vec<f64>, String) {
+    let raster_type = if info.registration == Registration::Grid { 2 } else { 1 };
+    let (name, geographic, number) = match &info.crs {
+        Crs::Projected { name, metres_per_unit } => (name, false, *metres_per_unit),
+        Crs::Geographic { name, radius_m } => (name, true, *radius_m),
+        Crs::Local => return Default::default(),
+    };
+    let code = name.strip_prefix("EPSG:").and_then(|code| code.parse().ok());
+    let code: u16 = code.unwrap_or(USER_DEFINED);
+    let citation = format!("{}|", name.replace(|c: char| !c.is_ascii() || c == '|', "?"));
+    let length = citation.len() as u16;
+    let mut keys = vec![[1025, 0, 1, raster_type]];
+    if geographic {
+        keys.insert(0, [1024, 0, 1, 2]);
+        keys.extend([[2048, 0, 1, code], [2049, 34737, length, 0], [2054, 0, 1, 9102]]);
+        if code == USER_DEFINED {
+            keys.extend([[2050, 0, 1, code], [2056, 0, 1, code], [2058, 34736, 1, 0]]);
+        }
+        keys.push([2057, 34736, 1, 0]);
+    } else {
+        keys.insert(0, [1024, 0, 1, 1]);
+        keys.extend([[1026, 34737, length, 0], [3072, 0, 1, code]]);
+        let unit = if number == 1.0 { 9001 } else { USER_DEFINED };
+        keys.extend([[3076, 0, 1, unit], [3077, 34736, 1, 0]]);
+    }
+    keys.sort_unstable();
+    let mut directory = vec![1, 1, 0, keys.len() as u16];
+    directory.extend(keys.iter().flatten());
+    (directory, vec![number], citation)
+}
+
+fn write_offsets<W: Write + Seek, K: TiffKind>(
+    directory: &mut Directory<'_, W, K>,
+    tag: Tag,
+    values: &[u64],
+) -> Result<(), TiffError> {
+    let values = values.iter().map(|value| K::convert_offset(*value));
+    directory.write_tag(tag, K::convert_slice(&values.collect::<Result<Vec<_>, _>>()?))
+}
+
+fn tiff_failed(error: TiffError, path: &Path) -> DemError {
+    let error = match error {
+        TiffError::IoError(error) => error,
+        other => std::io::Error::other(other),
+    };
+    DemError::io(path, "write", error)
+}

@@ -1,0 +1,19 @@
+//! Elevation data becomes a dataset of tiled files, and is read back from it.
+//!
+//! In reading order:
+
+pub mod dem;
+
+pub mod frame;
+
+pub mod build;
+
+pub mod dataset;
+
+pub mod verify;
+
+mod checksum;
+
+pub mod process;
+
+pub mod cli;

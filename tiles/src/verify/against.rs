@@ -1,0 +1,88 @@
+//! A dataset against the files that it was built from.
+
+use crate::build::BuildError;
+use crate::dataset::{Dataset, PageReader};
+use crate::dem::DemSource;
+use escarp_proto::geometry::PAGE_CELLS;
+use serde::Serialize;
+
+/// How a dataset differs from its inputs.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
+pub struct Against {
+    /// Samples with data in both.
+    pub samples: u64,
+    /// Largest difference of a sample, metres.
+    pub largest_difference_m: f64,
+    /// Samples of the input without data in the dataset. A sample that forms no triangle with its
+    /// neighbours is part of no surface, and is not kept.
+    pub missing: u64,
+    /// Samples of the dataset without data in the input.
+    pub invented: u64,
+}
+
+/// Compares every sample.
+///
+/// # Errors
+/// [`BuildError::Unfit`] if the sizes differ; otherwise what reading either says.
+pub fn compare(
+    dataset: &Dataset,
+    source: &mut dyn DemSource,
+    progress: &(dyn Fn(u64, u64) + Sync),
+) -> Result<Against, BuildError> {
+    let info = source.info().clone();
+    let [width, height] = dataset.manifest().samples;
+    if [info.width, info.height] != [width, height] {
+        return Err(BuildError::Unfit {
+            path: info.path,
+            why: format!(
+                "{} x {} samples, but the dataset has {width} x {height}",
+                info.width, info.height
+            ),
+        });
+    }
+    let mut reader = PageReader::new(dataset);
+    let mut found = Against::default();
+    let mut given = Vec::new();
+    let mut shared = Vec::new();
+    let page_rows = (height - 1).div_ceil(PAGE_CELLS as u32).max(1);
+    // From north to south, as sources are read fastest.
+    for page_row in (0..page_rows).rev() {
+        let first = page_row * PAGE_CELLS as u32;
+        let rows = (height - first).min(PAGE_CELLS as u32 + 1);
+        let mut stored = reader.page_row(page_row)?;
+        given.resize(rows as usize * width as usize, 0.0);
+        source.read_rows(height - first - rows, rows, &mut given)?;
+        let quantum_m = dataset.manifest().georef.quantum_m;
+        // The southern row is shared with the next page row. Where a hole ends there, only one of
+        // the two may have the sample.
+        let northern = stored.len() - width as usize;
+        for (ours, theirs) in stored[northern..].iter_mut().zip(&shared) {
+            *ours = ours.or(*theirs);
+        }
+        shared = stored[..width as usize].to_vec();
+        let own = if page_row == 0 { rows } else { rows - 1 };
+        let stored = stored.chunks_exact(width as usize).take(rows as usize).rev();
+        for (given, stored) in given.chunks_exact(width as usize).zip(stored).take(own as usize) {
+            found.row(given, stored, quantum_m);
+        }
+        progress(u64::from(page_rows - page_row), u64::from(page_rows));
+    }
+    Ok(found)
+}
+
+impl Against {
+    fn row(&mut self, given: &[f64], stored: &[Option<i32>], quantum_m: f64) {
+        for (&given, stored) in given.iter().zip(stored) {
+            match stored {
+                None if given.is_nan() => {}
+                None => self.missing += 1,
+                Some(_) if given.is_nan() => self.invented += 1,
+                Some(units) => {
+                    self.samples += 1;
+                    let difference = (f64::from(*units) * quantum_m - given).abs();
+                    self.largest_difference_m = self.largest_difference_m.max(difference);
+                }
+            }
+        }
+    }
+}
