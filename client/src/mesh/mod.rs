@@ -1,5 +1,31 @@
-//! The mesh tree: pages that are resident, which of their vertices are enabled, and the triangles.
+//! The mesh tree: the pages that are resident, which of their vertices are enabled, and the
+//! triangles that follow (Ulrich, "Continuous LOD Terrain Meshing Using Adaptive Quadtrees",
+//! 2000).
+//!
+//! Invariants:
+//!
+//! 1. A square's centre is enabled only if the two edge vertices at its corners are; an edge
+//!    vertex only if the centres on both of its sides are. So there are no cracks, at any moment.
+//! 2. A vertex is enabled if its own test asks for it, or one that depends on it is enabled, and
+//!    all that it depends on is resident; else not. Errors are nested (`escarp_proto::page`), so
+//!    the enabled set follows from the view and the resident pages alone, not from history.
+//! 3. A vertex on the border of two pages has the same enabled flag in both. Its own test and
+//!    the count of its dependents are kept for each side apart.
+//! 4. Pages are linked and unlinked between updates only.
 
+mod audit;
+mod frustum;
 mod page_mesh;
+mod place;
+mod tree;
+mod triangulate;
+mod update;
+mod vertices;
+mod wants;
 
+pub use audit::{SurfaceTriangle, VertexFlags};
+pub use frustum::Frustum;
 pub use page_mesh::{PageMesh, Vertex};
+pub use tree::{LinkError, MeshTree};
+pub use update::UpdateStats;
+pub use wants::Wish;

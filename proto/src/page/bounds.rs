@@ -126,6 +126,13 @@ impl Bounds {
         }
     }
 
+    /// What half a quadrant holds: the half on the side of an edge of its parent, for a quadrant
+    /// that is a square of the page's level `level`, up to and with the depth itself.
+    pub fn half_kind(&self, level: u8, column: usize, row: usize, edge: Edge) -> Kind {
+        let quadrant = Quadrant::of(column as u32, row as u32);
+        self.half(level, column, row, half_facing(edge, quadrant)).1
+    }
+
     /// What the parent's slot must say of this page.
     ///
     /// The bound is rounded up to a code; a deviation is never larger than [`MAX_SPAN`].

@@ -1,0 +1,73 @@
+//! The state of the mesh tree laid open, for tests and reports.
+
+use super::tree::{Index, MeshTree};
+use escarp_proto::geometry::{PAGE_SAMPLES, PageId};
+
+/// State of a vertex in one page.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub struct VertexFlags {
+    /// The page.
+    pub page: PageId,
+    /// Sample of the page, row-major from the south-west.
+    pub sample: u16,
+    /// Part of the mesh.
+    pub enabled: bool,
+    /// A triangle of this page asks for it.
+    pub asked: bool,
+    /// Enabled vertices that depend on it on this page's side.
+    pub dependents: u8,
+}
+
+/// A triangle of the mesh in grid coordinates.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct SurfaceTriangle {
+    /// Grid `x`, `y`, and height in quanta, counter-clockwise seen from above.
+    pub corners: [(u32, u32, i32); 3],
+    /// Whether it is drawn. Those in holes are not.
+    pub drawn: bool,
+}
+
+impl MeshTree {
+    /// All vertices with any state, sorted.
+    pub fn flags(&self) -> Vec<VertexFlags> {
+        let mut flags = Vec::new();
+        for node in self.nodes.iter().flatten() {
+            for (sample, state) in node.vertices.iter().enumerate() {
+                if state.enabled || state.asked || state.dependents > 0 {
+                    flags.push(VertexFlags {
+                        page: node.page.id(),
+                        sample: sample as u16,
+                        enabled: state.enabled,
+                        asked: state.asked,
+                        dependents: state.dependents,
+                    });
+                }
+            }
+        }
+        flags.sort_unstable();
+        flags
+    }
+
+    /// Visits every triangle of the mesh, those in holes included: together they cover the grid.
+    pub fn visit_triangles(&self, mut visit: impl FnMut(SurfaceTriangle)) {
+        for index in 0..self.nodes.len() as Index {
+            let Some(node) = &self.nodes[index as usize] else {
+                continue;
+            };
+            let [x, y] = node.mesh.origin;
+            self.leaves(index, &mut |leaf| {
+                let corners = leaf.corners.map(|corner| {
+                    let (column, row) = (corner as usize % PAGE_SAMPLES, corner as usize / PAGE_SAMPLES);
+                    (
+                        x + column as u32 * node.mesh.stride,
+                        y + row as u32 * node.mesh.stride,
+                        node.page.height(corner as usize),
+                    )
+                });
+                let valid = leaf.corners.iter().all(|&corner| node.page.is_valid(corner as usize));
+                let drawn = valid && leaf.kind != escarp_proto::page::Kind::Empty;
+                visit(SurfaceTriangle { corners, drawn });
+            });
+        }
+    }
+}

@@ -1,0 +1,67 @@
+//! What a view can see.
+
+use escarp_proto::georef::WorldBox;
+use escarp_proto::view::View;
+
+/// The four sides of a view's pyramid; what is behind the eye lies outside of one of them.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Frustum {
+    eye_m: [f64; 3],
+    /// Normals that point inwards.
+    sides: [[f64; 3]; 4],
+}
+
+impl Frustum {
+    /// The pyramid of a view whose picture's upper side is up in the world.
+    pub fn of(view: &View) -> Frustum {
+        let forward = unit(view.direction.map(f64::from));
+        // Looking straight up or down, north is up in the picture.
+        let level = (forward[0] * forward[0] + forward[1] * forward[1]).sqrt();
+        let right = match level > 1e-6 {
+            true => [forward[1] / level, -forward[0] / level, 0.0],
+            false => [1.0, 0.0, 0.0],
+        };
+        let up = cross(right, forward);
+        let tan_y = (f64::from(view.fov_y) / 2.0).tan();
+        let tan_x = tan_y * f64::from(view.viewport_px[0]) / f64::from(view.viewport_px[1]);
+        let side = |axis: [f64; 3], tan: f64| {
+            std::array::from_fn(|i| forward[i] * tan - axis[i])
+        };
+        let negative = |v: [f64; 3]| v.map(|c| -c);
+        Frustum {
+            eye_m: view.eye_m,
+            sides: [
+                side(right, tan_x),
+                side(negative(right), tan_x),
+                side(up, tan_y),
+                side(negative(up), tan_y),
+            ],
+        }
+    }
+
+    /// Whether any of a box may be seen. Never says no to a box that can be.
+    pub fn may_see(&self, region: &WorldBox) -> bool {
+        self.sides.iter().all(|normal| {
+            let farthest = |i: usize| {
+                let corner = if normal[i] > 0.0 { region.max[i] } else { region.min[i] };
+                (corner - self.eye_m[i]) * normal[i]
+            };
+            let reach: f64 = (0..3).map(farthest).sum();
+            let scale: f64 = (0..3).map(|i| farthest(i).abs()).sum();
+            reach >= -1e-9 * scale
+        })
+    }
+}
+
+fn unit(v: [f64; 3]) -> [f64; 3] {
+    let length = v.iter().map(|c| c * c).sum::<f64>().sqrt();
+    v.map(|c| c / length)
+}
+
+fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    ]
+}

@@ -1,0 +1,156 @@
+//! From enabled vertices to indexed triangles, page by page, and only for pages that changed.
+
+use super::page_mesh::Vertex;
+use super::place::PageSquare;
+use super::tree::{Index, MeshTree};
+use escarp_proto::geometry::{Edge, PAGE_CELLS, PAGE_SAMPLES};
+use escarp_proto::page::{Kind, PAGE_AREA, level_step};
+
+/// A triangle of the mesh, and whether there is surface to draw.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Leaf {
+    /// Samples of the page, counter-clockwise seen from above.
+    pub(super) corners: [u16; 3],
+    pub(super) kind: Kind,
+}
+
+impl MeshTree {
+    /// Triangulates what changed since the last time. Triangles of the whole mesh.
+    pub fn triangulate(&mut self) -> u64 {
+        let mut triangles = 0;
+        for index in 0..self.nodes.len() as Index {
+            let Some(node) = &self.nodes[index as usize] else {
+                continue;
+            };
+            if node.stale_triangles {
+                self.triangulate_page(index);
+            }
+            let node = self.node(index);
+            if node.stale_vertices && !node.mesh.indices.is_empty() {
+                self.place_vertices(index);
+            }
+            triangles += self.node(index).mesh.indices.len() as u64 / 3;
+        }
+        triangles
+    }
+
+    fn triangulate_page(&mut self, index: Index) {
+        let mut indices = std::mem::take(&mut self.node_mut(index).mesh.indices);
+        indices.clear();
+        let page = &self.node(index).page;
+        self.leaves(index, &mut |leaf| {
+            let drawn = leaf.kind != Kind::Empty
+                && leaf.corners.iter().all(|&corner| page.is_valid(corner as usize));
+            if drawn {
+                indices.extend(leaf.corners);
+            }
+        });
+        self.stamps += 1;
+        let stamp = self.stamps;
+        let node = self.node_mut(index);
+        node.mesh.indices = indices;
+        node.mesh.index_stamp = stamp;
+        node.stale_triangles = false;
+    }
+
+    /// All triangles of a page's own squares, drawn or not.
+    pub(super) fn leaves(&self, index: Index, emit: &mut impl FnMut(Leaf)) {
+        if self.is_enabled((index, PageSquare::ROOT.centre() as u16)) {
+            self.leaves_of(index, PageSquare::ROOT, emit);
+        }
+    }
+
+    fn leaves_of(&self, index: Index, square: PageSquare, emit: &mut impl FnMut(Leaf)) {
+        let centre = square.centre() as u16;
+        let bounds = &self.node(index).bounds;
+        let errors = bounds.square(square.level, square.column as usize, square.row as usize);
+        for edge in Edge::ALL {
+            let middle = square.edge(edge) as u16;
+            let [from, to] = square.ends(edge).map(|end| end as u16);
+            if !self.is_enabled((index, middle)) {
+                emit(Leaf {
+                    corners: [centre, from, to],
+                    kind: errors.kinds[edge as usize],
+                });
+                continue;
+            }
+            let [first, last] = PageSquare::end_quadrants(edge);
+            for (quadrant, corners) in [(first, [centre, from, middle]), (last, [centre, middle, to])] {
+                let child = square.child(quadrant);
+                let below = self.square_below(index, child);
+                if below.is_some_and(|(page, square)| self.is_enabled((page, square.centre() as u16))) {
+                    continue;
+                }
+                let (column, row) = (child.column as usize, child.row as usize);
+                emit(Leaf {
+                    corners,
+                    kind: bounds.half_kind(child.level, column, row, edge),
+                });
+            }
+        }
+        if square.level < 3 {
+            for quadrant in escarp_proto::geometry::Quadrant::ALL {
+                let child = square.child(quadrant);
+                if self.is_enabled((index, child.centre() as u16)) {
+                    self.leaves_of(index, child, emit);
+                }
+            }
+        }
+    }
+
+    /// Heights and normals of the samples that have arrived.
+    fn place_vertices(&mut self, index: Index) {
+        let mut vertices = std::mem::take(&mut self.node_mut(index).mesh.vertices);
+        vertices.resize(PAGE_AREA, Vertex { height: 0, normal: [0, 0, 127, 0] });
+        let step = level_step(self.node(index).page.depth());
+        for y in (0..PAGE_SAMPLES).step_by(step) {
+            for x in (0..PAGE_SAMPLES).step_by(step) {
+                vertices[y * PAGE_SAMPLES + x] = Vertex {
+                    height: self.node(index).page.height(y * PAGE_SAMPLES + x),
+                    normal: self.normal(index, x, y, step),
+                };
+            }
+        }
+        self.stamps += 1;
+        let stamp = self.stamps;
+        let node = self.node_mut(index);
+        node.mesh.vertices = vertices;
+        node.mesh.vertex_stamp = stamp;
+        node.stale_vertices = false;
+    }
+
+    /// Normal from the slopes to the neighbouring samples, those of neighbouring pages included.
+    fn normal(&self, index: Index, x: usize, y: usize, step: usize) -> [i8; 4] {
+        let node = self.node(index);
+        let own = node.page.height(y * PAGE_SAMPLES + x);
+        let slope = |back: Edge, ahead: Edge, spacing_m: f64| {
+            let height = |edge| self.sample_towards(index, (x, y), edge, step);
+            let (low, high) = (height(back), height(ahead));
+            let cells = low.is_some() as u32 + high.is_some() as u32;
+            let rise = f64::from(high.unwrap_or(own)) - f64::from(low.unwrap_or(own));
+            rise * self.georef.quantum_m / (f64::from(cells.max(1)) * spacing_m)
+        };
+        let cells = f64::from(node.mesh.stride) * step as f64;
+        let [dx, dy] = self.georef.sample_spacing_m.map(|spacing_m| spacing_m * cells);
+        let (east, north) = (slope(Edge::West, Edge::East, dx), slope(Edge::South, Edge::North, dy));
+        let length = (east * east + north * north + 1.0).sqrt();
+        let byte = |v: f64| (v / length * 127.0).round() as i8;
+        [byte(-east), byte(-north), byte(1.0), 0]
+    }
+
+    /// Height of the sample a step towards an edge; `None` if it is a hole or not resident.
+    fn sample_towards(&self, index: Index, (x, y): (usize, usize), edge: Edge, step: usize) -> Option<i32> {
+        let (dx, dy) = edge.step();
+        let beyond = |w: usize, d: i32| w as i32 + d * step as i32;
+        let (x, y) = (beyond(x, dx), beyond(y, dy));
+        let side = PAGE_CELLS as i32;
+        let inside = (0..=side).contains(&x) && (0..=side).contains(&y);
+        let (index, x, y) = match inside {
+            true => (index, x, y),
+            false => (self.node(index).neighbours[edge as usize]?, x - dx * side, y - dy * side),
+        };
+        let page = &self.node(index).page;
+        let sample = y as usize * PAGE_SAMPLES + x as usize;
+        (level_step(page.depth()) <= step && page.is_valid(sample)).then(|| page.height(sample))
+    }
+}

@@ -1,0 +1,213 @@
+//! Enabling, propagation and reference counts.
+
+use super::place::{PageSquare, Role, across, border, part_of, role};
+use super::tree::{Index, MeshTree};
+use escarp_proto::geometry::Edge;
+
+/// A vertex of a page: `(page, sample)`.
+pub(super) type VertexRef = (Index, u16);
+
+/// State of a vertex in one page.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(super) struct VertexState {
+    /// Part of the mesh.
+    pub(super) enabled: bool,
+    /// The test of a triangle of this page asks for it.
+    pub(super) asked: bool,
+    /// Enabled vertices of this page, and of its children, that depend on it.
+    pub(super) dependents: u8,
+}
+
+/// Vertices on which one depends directly: at most two, and none for the root's centre.
+struct Dependencies {
+    known: [Option<VertexRef>; 2],
+    /// A page across the border that is not resident.
+    missing: Option<(Index, Edge)>,
+}
+
+impl MeshTree {
+    pub(super) fn state(&self, (index, sample): VertexRef) -> VertexState {
+        self.node(index).vertices[sample as usize]
+    }
+
+    pub(super) fn is_enabled(&self, vertex: VertexRef) -> bool {
+        self.state(vertex).enabled
+    }
+
+    /// The same vertex in the page across the border, if it lies on one and that is resident.
+    fn mirror(&self, (index, sample): VertexRef) -> Option<VertexRef> {
+        let edge = border(sample as usize)?;
+        let neighbour = self.node(index).neighbours[edge as usize]?;
+        Some((neighbour, across(sample as usize, edge) as u16))
+    }
+
+    fn dependencies(&self, vertex: VertexRef) -> Dependencies {
+        let (index, sample) = vertex;
+        let mut found = Dependencies {
+            known: [None; 2],
+            missing: None,
+        };
+        match role(sample as usize) {
+            Role::Corner => {}
+            Role::Centre(square) => found.known = self.corners_needed(index, square),
+            Role::Edge(sides) => {
+                let centre = |side: Option<(PageSquare, Edge)>| {
+                    side.map(|(square, _)| (index, square.centre() as u16))
+                };
+                found.known = sides.map(centre);
+                if let Some(edge) = border(sample as usize) {
+                    let own = found.known[0].or(found.known[1]);
+                    found.known = [own, self.centre_across(vertex)];
+                    let beyond = self.node(index).page.id().neighbour(edge);
+                    let in_grid = beyond.is_some();
+                    if found.known[1].is_none() && in_grid {
+                        found.missing = Some((index, edge));
+                    }
+                }
+            }
+        }
+        found
+    }
+
+    fn centre_across(&self, vertex: VertexRef) -> Option<VertexRef> {
+        let (neighbour, sample) = self.mirror(vertex)?;
+        match role(sample as usize) {
+            Role::Edge([Some((square, _)), None] | [None, Some((square, _))]) => {
+                Some((neighbour, square.centre() as u16))
+            }
+            _ => None,
+        }
+    }
+
+    /// The edge vertices of the square above that are corners of a square.
+    fn corners_needed(&self, index: Index, square: PageSquare) -> [Option<VertexRef>; 2] {
+        let (page, above, quadrant) = match square.parent() {
+            Some((above, quadrant)) => (index, above, quadrant),
+            None => match self.node(index).parent {
+                None => return [None; 2],
+                Some((parent, slot)) => {
+                    let (column, row) = slot.position();
+                    let cell = PageSquare {
+                        level: 4,
+                        column: column as u8,
+                        row: row as u8,
+                    };
+                    match cell.parent() {
+                        Some((above, quadrant)) => (parent, above, quadrant),
+                        None => return [None; 2],
+                    }
+                }
+            },
+        };
+        quadrant.edges().map(|edge| Some((page, above.edge(edge) as u16)))
+    }
+
+    /// Whether the parts that hold a vertex are resident, here and across the border.
+    fn has_data(&self, vertex: VertexRef) -> bool {
+        let part = part_of(vertex.1 as usize);
+        let has = |index: Index| self.node(index).page.depth() >= part;
+        has(vertex.0) && self.mirror(vertex).is_none_or(|(neighbour, _)| has(neighbour))
+    }
+
+    /// Whether anything holds the vertex enabled.
+    fn is_held(&self, vertex: VertexRef) -> bool {
+        let holds = |v: VertexRef| {
+            let state = self.state(v);
+            state.asked || state.dependents > 0
+        };
+        holds(vertex) || self.mirror(vertex).is_some_and(holds)
+    }
+
+    /// Sets whether the test of a triangle of this page asks for a vertex, and lets all that
+    /// follows from it follow. `excess` is how far the test failed, for what is wanted.
+    pub(super) fn ask(&mut self, vertex: VertexRef, asked: bool, excess: f64) {
+        if asked {
+            if self.enable(vertex, excess) {
+                self.set(vertex, |state| state.asked = true);
+            }
+        } else if self.state(vertex).asked {
+            self.set(vertex, |state| state.asked = false);
+            self.release(vertex);
+        }
+    }
+
+    fn set(&mut self, (index, sample): VertexRef, change: impl FnOnce(&mut VertexState)) {
+        change(&mut self.node_mut(index).vertices[sample as usize]);
+    }
+
+    /// Enables a vertex and all that it depends on, or, if some of that is not resident, wants
+    /// what is missing, and changes nothing.
+    fn enable(&mut self, vertex: VertexRef, excess: f64) -> bool {
+        self.is_enabled(vertex) || self.enable_now(vertex, excess)
+    }
+
+    fn enable_now(&mut self, vertex: VertexRef, excess: f64) -> bool {
+        let needed = self.dependencies(vertex);
+        let mut possible = self.has_data(vertex);
+        if !possible {
+            self.want_parts_of(vertex, excess);
+        }
+        if let Some((index, edge)) = needed.missing {
+            self.want_neighbour(index, edge, excess);
+            possible = false;
+        }
+        for needed in needed.known.into_iter().flatten() {
+            let was_enabled = self.is_enabled(needed);
+            possible &= was_enabled || self.enable_now(needed, excess);
+            // What is enabled for another's sake may lie where the update has been already.
+            if !was_enabled && possible {
+                self.fresh.push(needed);
+            }
+        }
+        if !possible {
+            for needed in needed.known.into_iter().flatten() {
+                self.release(needed);
+            }
+            return false;
+        }
+        for needed in needed.known.into_iter().flatten() {
+            self.set(needed, |state| state.dependents += 1);
+        }
+        self.flag(vertex, true);
+        true
+    }
+
+    /// Disables a vertex that nothing holds any more, and so on upwards.
+    fn release(&mut self, vertex: VertexRef) {
+        if !self.is_enabled(vertex) || self.is_held(vertex) || self.is_root_centre(vertex) {
+            return;
+        }
+        self.flag(vertex, false);
+        for needed in self.dependencies(vertex).known.into_iter().flatten() {
+            self.set(needed, |state| state.dependents -= 1);
+            self.release(needed);
+        }
+    }
+
+    fn is_root_centre(&self, (index, sample): VertexRef) -> bool {
+        sample as usize == PageSquare::ROOT.centre() && self.node(index).parent.is_none()
+    }
+
+    /// Sets the enabled flag on both sides, and marks what has to be triangulated again.
+    fn flag(&mut self, vertex: VertexRef, enabled: bool) {
+        self.changes += 1;
+        for (index, sample) in [Some(vertex), self.mirror(vertex)].into_iter().flatten() {
+            let node = self.node_mut(index);
+            node.vertices[sample as usize].enabled = enabled;
+            node.enabled = if enabled { node.enabled + 1 } else { node.enabled - 1 };
+            node.stale_triangles = true;
+            let parent = node.parent;
+            if let Some((parent, _)) = parent
+                && sample as usize == PageSquare::ROOT.centre()
+            {
+                self.node_mut(parent).stale_triangles = true;
+            }
+        }
+    }
+
+    /// Enables the root's centre, which depends on nothing.
+    pub(super) fn enable_root(&mut self, root: Index) {
+        let centre = (root, PageSquare::ROOT.centre() as u16);
+        self.enable(centre, f64::INFINITY);
+    }
+}
