@@ -4,6 +4,8 @@
 
 pub mod dem;
 
+pub mod synth;
+
 pub mod frame;
 
 pub mod build;

@@ -72,7 +72,10 @@ impl Backoff {
 
     /// The next wait: between half of the current step and all of it.
     pub(super) fn next(&mut self) -> Duration {
-        let step = self.least.saturating_mul(1 << self.failures.min(20)).min(self.most);
+        let step = self
+            .least
+            .saturating_mul(1 << self.failures.min(20))
+            .min(self.most);
         self.failures = self.failures.saturating_add(1);
         step.mul_f64(0.5 + 0.5 * self.fraction())
     }
@@ -118,7 +121,9 @@ mod tests {
     fn a_long_session_starts_the_waiting_anew() {
         let config = LinkConfig::new("d");
         let mut backoff = Backoff::new(&config);
-        (0..10).for_each(|_| drop(backoff.next()));
+        for _ in 0..10 {
+            backoff.next();
+        }
         backoff.session_lived(config.backoff_max);
         assert!(backoff.next() <= config.backoff_min);
     }

@@ -1,7 +1,7 @@
 //! What a link tells its caller: events, errors, figures.
 
 use escarp_proto::manifest::Manifest;
-use escarp_proto::wire::{Chunk, MAX_TEXT, Miss, WireError};
+use escarp_proto::wire::{Chunk, ErrorCode, MAX_TEXT, Miss, WireError};
 use std::collections::VecDeque;
 use std::mem::discriminant;
 use std::sync::Arc;
@@ -41,7 +41,10 @@ pub enum Event {
     Refused {
         /// It would do so again, so the link does not connect any more.
         fatal: bool,
-        /// Why, for people; control characters are replaced.
+        /// Why, for programs.
+        code: ErrorCode,
+        /// Why, for people, without control characters but line ends. For
+        /// [`ErrorCode::NoDataset`]: the names of the datasets there are, one a line.
         text: String,
     },
     /// The connection was lost, or did not come about. It is tried again.
@@ -129,7 +132,8 @@ impl Events {
 
     /// Adds an event of another kind, in place of an older one of that kind.
     pub(super) fn push_latest(&mut self, event: Event) {
-        self.queue.retain(|old| discriminant(old) != discriminant(&event));
+        self.queue
+            .retain(|old| discriminant(old) != discriminant(&event));
         self.queue.push_back(event);
     }
 
@@ -149,8 +153,13 @@ impl Events {
     /// Drops the events about the pages that `which` names.
     pub(super) fn forget_pages(&mut self, which: impl Fn(u64) -> bool) {
         if self.pages > 0 {
-            self.queue.retain(|event| !page_of(event).is_some_and(&which));
-            self.pages = self.queue.iter().filter(|event| page_of(event).is_some()).count();
+            self.queue
+                .retain(|event| !page_of(event).is_some_and(&which));
+            self.pages = self
+                .queue
+                .iter()
+                .filter(|event| page_of(event).is_some())
+                .count();
         }
     }
 
@@ -168,8 +177,8 @@ fn page_of(event: &Event) -> Option<u64> {
     }
 }
 
-/// A peer's text made fit for a terminal: bounded, and without control characters.
+/// A peer's text made fit for a terminal: bounded, and without control characters but line ends.
 pub(super) fn tame(text: &str) -> String {
-    let clean = |c: char| if c.is_control() { ' ' } else { c };
+    let clean = |c: char| if c.is_control() && c != '\n' { ' ' } else { c };
     text.chars().take(MAX_TEXT).map(clean).collect()
 }

@@ -7,7 +7,7 @@
 //! swap, and a new blocker waits no longer than until the next page arrives.
 
 use super::pages::{Held, Misses};
-use escarp_proto::page::{MAX_RECORD_BYTES, SLOT_PART};
+use escarp_proto::page::MAX_RECORD_BYTES;
 use escarp_proto::wire::{Chunk, Want};
 use std::cmp::Ordering;
 use std::collections::HashMap;
@@ -75,11 +75,15 @@ impl Flights {
             if unseen == 0 {
                 break;
             }
-            let Some(flight) = self.flights.get_mut(&want.page) else { continue };
+            let Some(flight) = self.flights.get_mut(&want.page) else {
+                continue;
+            };
             if flight.round == self.round {
                 continue;
             }
-            let Some(missing) = held.missing(want) else { continue };
+            let Some(missing) = held.missing(want) else {
+                continue;
+            };
             flight.round = self.round;
             unseen -= 1;
             self.any_untold |= flight.adopt(sane(missing));
@@ -106,8 +110,11 @@ impl Flights {
             if self.flights.contains_key(&want.page) || misses.blocks(want.page) {
                 continue;
             }
-            let Some(missing) = held.missing(want) else { continue };
-            self.flights.insert(want.page, Flight::new(sane(missing), self.round));
+            let Some(missing) = held.missing(want) else {
+                continue;
+            };
+            self.flights
+                .insert(want.page, Flight::new(sane(missing), self.round));
             self.any_untold = true;
             free -= 1;
         }
@@ -120,7 +127,7 @@ impl Flights {
         };
         let total = flight.bytes.saturating_add(chunk.bytes.len());
         let fits = chunk.first_part == flight.next_part
-            && (chunk.first_part..=SLOT_PART).contains(&chunk.last_part)
+            && (chunk.first_part..=held.last_part(chunk.page)).contains(&chunk.last_part)
             && total <= MAX_RECORD_BYTES;
         if !fits {
             self.any_untold |= flight.heal(chunk);
@@ -256,5 +263,8 @@ fn sane(want: Want) -> Want {
 /// Most urgent first; pages by key where that is equal, so that runs repeat.
 fn urgency(a: &Want, b: &Want) -> Ordering {
     let priority = || b.priority.total_cmp(&a.priority);
-    a.class.cmp(&b.class).then_with(priority).then_with(|| a.page.cmp(&b.page))
+    a.class
+        .cmp(&b.class)
+        .then_with(priority)
+        .then_with(|| a.page.cmp(&b.page))
 }

@@ -13,7 +13,7 @@ mod session;
 mod transmit;
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 
 pub use config::LinkConfig;
 pub use event::{Event, LinkError, LinkStats};
@@ -27,6 +27,7 @@ use event::{Events, tame};
 use flights::Flights;
 use pages::{Held, Misses};
 use session::{Credit, KeepAlive, Views};
+use std::collections::HashSet;
 use std::sync::Arc;
 use std::time::Duration;
 use transmit::Outgoing;
@@ -167,11 +168,13 @@ impl Link {
         self.state = LinkState::Waiting { retry_at };
         self.trouble = Some(text.clone());
         self.stats.disconnects += 1;
-        self.events.push_latest(Event::Disconnected { text, retry_at });
+        self.events
+            .push_latest(Event::Disconnected { text, retry_at });
     }
 
     /// Gives up a session whose server is silent. Call it after the messages that have come.
     pub fn handle_timeout(&mut self, now: Duration) {
+        self.misses.expire(now);
         match self.state {
             LinkState::Greeting { since } if now >= since + self.config.welcome_timeout => {
                 let why = format!("no Welcome within {:?}", self.config.welcome_timeout);
@@ -199,7 +202,8 @@ impl Link {
     /// [`LinkConfig::busy_delay`]. Works without a connection as well.
     pub fn set_wants(&mut self, wants: &[Want], now: Duration) {
         self.misses.expire(now);
-        self.flights.update(wants, self.places(), &self.held, &self.misses);
+        self.flights
+            .update(wants, self.places(), &self.held, &self.misses);
     }
 
     /// Places for pages: what is not yet taken by the caller occupies one, too.
@@ -223,9 +227,10 @@ impl Link {
     /// The caller dropped these pages: the server is told, and they may be wanted from the first
     /// part again. Chunks of theirs that are not yet taken, or in flight, are dropped.
     pub fn evict(&mut self, pages: &[PageId]) {
-        for page in pages.iter().map(|page| page.key()) {
+        let keys: HashSet<u64> = pages.iter().map(|page| page.key()).collect();
+        self.events.forget_pages(|page| keys.contains(&page));
+        for page in keys {
             self.flights.cancel(page);
-            self.events.forget_pages(|key| key == page);
             if self.held.remove(page) && self.is_open() {
                 self.outgoing.evicts.push(page);
             }

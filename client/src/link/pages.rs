@@ -1,5 +1,7 @@
 //! What the link knows of pages: those here, and those that do not come.
 
+use escarp_proto::geometry::{GridLevels, PageId};
+use escarp_proto::page::last_part;
 use escarp_proto::wire::{Have, Want};
 use std::collections::{HashMap, HashSet, VecDeque};
 use std::time::Duration;
@@ -11,6 +13,8 @@ pub(super) const MAX_MISSES: usize = 1 << 16;
 #[derive(Debug, Default)]
 pub(super) struct Held {
     pages: HashMap<u64, Parts>,
+    /// Known from the first Welcome on.
+    grid: Option<GridLevels>,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -22,16 +26,30 @@ struct Parts {
 
 impl Held {
     /// What of a wish is still to be asked for. Parts that were delivered may not be linked into
-    /// the mesh tree yet, so that it wishes for them once more.
+    /// the mesh tree yet, so that it wishes for them once more; and a wish for more parts than the
+    /// page has would never be fulfilled.
     pub(super) fn missing(&self, want: &Want) -> Option<Want> {
         let count = self.pages.get(&want.page).map_or(0, |parts| parts.count);
         let first_part = want.first_part.max(count);
-        (first_part <= want.last_part).then_some(Want { first_part, ..*want })
+        let last_part = want.last_part.min(self.last_part(want.page));
+        (first_part <= last_part).then_some(Want {
+            first_part,
+            last_part,
+            ..*want
+        })
+    }
+
+    /// Last part of a page by its place in the grid.
+    pub(super) fn last_part(&self, key: u64) -> u8 {
+        let finest = |grid: GridLevels| PageId::from_key(key).is_some_and(|p| grid.is_finest(p));
+        last_part(self.grid.is_some_and(finest))
     }
 
     /// Whether parts of this revision can be joined to those here.
     pub(super) fn joins(&self, page: u64, revision: u32) -> bool {
-        self.pages.get(&page).is_none_or(|parts| parts.revision == revision)
+        self.pages
+            .get(&page)
+            .is_none_or(|parts| parts.revision == revision)
     }
 
     pub(super) fn add(&mut self, page: u64, revision: u32, last_part: u8) {
@@ -43,8 +61,10 @@ impl Held {
         self.pages.remove(&page).is_some()
     }
 
-    pub(super) fn clear(&mut self) {
+    /// Forgets all pages; those to come belong to this grid.
+    pub(super) fn start(&mut self, grid: GridLevels) {
         self.pages.clear();
+        self.grid = Some(grid);
     }
 
     pub(super) fn len(&self) -> usize {
@@ -138,7 +158,10 @@ mod tests {
             misses.delay(page, Duration::from_secs(1));
         }
         assert_eq!(misses.len(), 2 * MAX_MISSES);
-        assert_eq!((misses.lost.len(), misses.busy.len()), (MAX_MISSES, MAX_MISSES));
+        assert_eq!(
+            (misses.lost.len(), misses.busy.len()),
+            (MAX_MISSES, MAX_MISSES)
+        );
         assert!(!misses.blocks(0) && misses.blocks(2 * MAX_MISSES as u64 - 1));
         misses.expire(Duration::from_secs(1));
         assert!(misses.busy.is_empty() && misses.next_timeout().is_none());

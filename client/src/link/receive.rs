@@ -17,7 +17,10 @@ impl Link {
     /// [`LinkError`] if the bytes are no message, or one that may not come now. The link has given
     /// up the session then, as if disconnected: the driver closes the socket.
     pub fn handle_message(&mut self, bytes: &[u8], now: Duration) -> Result<(), LinkError> {
-        if !matches!(self.state, LinkState::Greeting { .. } | LinkState::Open { .. }) {
+        if !matches!(
+            self.state,
+            LinkState::Greeting { .. } | LinkState::Open { .. }
+        ) {
             // Still under way when the link gave up the session.
             return Ok(());
         }
@@ -36,7 +39,9 @@ impl Link {
         self.check_order(&message)?;
         match message {
             ServerMessage::Welcome(welcome) => self.on_welcome(welcome, now)?,
-            ServerMessage::Pages(chunks) => chunks.into_iter().for_each(|chunk| self.on_chunk(chunk)),
+            ServerMessage::Pages(chunks) => {
+                chunks.into_iter().for_each(|chunk| self.on_chunk(chunk))
+            }
             ServerMessage::Miss(miss) => self.on_miss(miss, now),
             ServerMessage::GenChange { generation } => {
                 self.events.push_latest(Event::GenChange { generation });
@@ -72,7 +77,7 @@ impl Link {
         let manifest = Manifest::from_json(&welcome.manifest).map_err(LinkError::Manifest)?;
         let changed = self.manifest.as_deref() != Some(&manifest);
         if changed {
-            self.forget_pages();
+            self.forget_pages(&manifest);
         }
         let manifest = match self.manifest.take() {
             Some(same) if !changed => same,
@@ -81,7 +86,8 @@ impl Link {
         self.manifest = Some(Arc::clone(&manifest));
         self.limits = welcome.limits;
         self.open(now);
-        self.events.push_latest(Event::Welcome { manifest, changed });
+        self.events
+            .push_latest(Event::Welcome { manifest, changed });
         Ok(())
     }
 
@@ -94,8 +100,8 @@ impl Link {
     }
 
     /// Another dataset, or generation: what is here and was wished for belongs to the old one.
-    fn forget_pages(&mut self) {
-        self.held.clear();
+    fn forget_pages(&mut self, manifest: &Manifest) {
+        self.held.start(manifest.grid_levels);
         self.flights.clear();
         self.misses.clear();
         self.events.forget_pages(|_| true);
@@ -138,14 +144,30 @@ impl Link {
     }
 
     fn on_refused(&mut self, error: &PeerError, now: Duration) {
-        let text = tame(&error.text);
-        let fatal = is_fatal(error.code);
-        let why = format!("the server says: {text}");
-        self.events.push_latest(Event::Refused { fatal, text });
+        let (code, text) = (error.code, tame(&error.text));
+        let fatal = is_fatal(code);
+        let why = match code {
+            ErrorCode::NoDataset => self.no_dataset(&text),
+            _ => format!("the server says: {text}"),
+        };
+        self.events
+            .push_latest(Event::Refused { fatal, code, text });
         if fatal {
             self.refuse(why);
         } else {
             self.on_disconnected(now, &why);
+        }
+    }
+
+    /// The server names the datasets that it has, one a line.
+    fn no_dataset(&self, names: &str) -> String {
+        let names = match names.lines().collect::<Vec<_>>().join(", ") {
+            none if none.is_empty() => "none".to_owned(),
+            some => some,
+        };
+        match self.config.dataset.as_str() {
+            "" => format!("the address names no dataset; the server has: {names}"),
+            name => format!("the server has no dataset \"{name}\"; it has: {names}"),
         }
     }
 }
@@ -154,9 +176,8 @@ impl Link {
 const fn is_fatal(code: ErrorCode) -> bool {
     match code {
         ErrorCode::Version | ErrorCode::NoDataset | ErrorCode::Denied => true,
-        ErrorCode::Protocol
-        | ErrorCode::Limit
-        | ErrorCode::ShuttingDown
-        | ErrorCode::Internal => false,
+        ErrorCode::Protocol | ErrorCode::Limit | ErrorCode::ShuttingDown | ErrorCode::Internal => {
+            false
+        }
     }
 }

@@ -1,18 +1,15 @@
 //! What the client says, in the order of urgency, and when it has to.
 
 use super::{Link, LinkState};
-use escarp_proto::wire::{
-    ClientMessage, Have, Hello, MAX_CLIENT_MESSAGE, PROTOCOL, Want,
-};
+use escarp_proto::wire::{ClientMessage, Have, Hello, MAX_LIST, PROTOCOL};
 use std::time::Duration;
 
-/// Items in one message. The server's decoder counts them by their size in memory.
+/// Items in one message: few enough that the line is soon free for what is more urgent.
 pub(super) const ITEMS_A_MESSAGE: usize = 1024;
 /// Codec 0 is understood.
 const CODECS: u32 = 1;
 
-const _: () = assert!(ITEMS_A_MESSAGE * size_of::<Want>() + 64 <= MAX_CLIENT_MESSAGE);
-const _: () = assert!(ITEMS_A_MESSAGE * size_of::<Have>() + 64 <= MAX_CLIENT_MESSAGE);
+const _: () = assert!(ITEMS_A_MESSAGE <= MAX_LIST);
 
 /// What is to be said, apart from what the flights and the views know themselves.
 #[derive(Debug, Default)]
@@ -34,8 +31,8 @@ impl Outgoing {
 
 impl Link {
     /// The next message to send, or `None`. Hello first; once the session is open: Have, Credit,
-    /// Evict, Cancel, View, Want, Ping. None is longer than
-    /// [`MAX_CLIENT_MESSAGE`], if the token is not.
+    /// Evict, Cancel, View, Want, Ping. Lists are cut so that each message is within the
+    /// server's limits.
     pub fn poll_transmit(&mut self, now: Duration) -> Option<Vec<u8>> {
         let message = match self.state {
             LinkState::Greeting { .. } => self.next_greeting(),
@@ -72,9 +69,17 @@ impl Link {
                 Some(ClientMessage::Credit { total_bytes })
             })
             .or_else(|| batch(&mut out.evicts).map(ClientMessage::Evict))
-            .or_else(|| self.flights.poll_cancels(ITEMS_A_MESSAGE).map(ClientMessage::Cancel))
+            .or_else(|| {
+                self.flights
+                    .poll_cancels(ITEMS_A_MESSAGE)
+                    .map(ClientMessage::Cancel)
+            })
             .or_else(|| self.views.due(now, views_per_second))
-            .or_else(|| self.flights.poll_wants(ITEMS_A_MESSAGE).map(ClientMessage::Want))
+            .or_else(|| {
+                self.flights
+                    .poll_wants(ITEMS_A_MESSAGE)
+                    .map(ClientMessage::Want)
+            })
             .or_else(|| self.keep_alive.ping_due(now).map(ClientMessage::Ping))
     }
 

@@ -41,7 +41,10 @@ pub(super) fn no_session(url: &Url, error: &Error) -> String {
             format!("no Escarp server at {at}: it answers as a plain web server (HTTP {status})")
         }
         Error::Http(response) => {
-            format!("the server at {at} refuses the session: HTTP {}", response.status())
+            format!(
+                "the server at {at} refuses the session: HTTP {}",
+                response.status()
+            )
         }
         Error::Io(error) => format!("{at} closed the connection before a session began: {error}"),
         Error::Protocol(ProtocolError::HandshakeIncomplete) => {

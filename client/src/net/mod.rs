@@ -102,7 +102,9 @@ impl Connection {
 
     fn receive(&mut self, link: &mut Link, now: Duration) {
         for _ in 0..REPORTS_A_TURN {
-            let Ok((attempt, report)) = self.reports.try_recv() else { return };
+            let Ok((attempt, report)) = self.reports.try_recv() else {
+                return;
+            };
             // Reports of a socket that was given up are late.
             if self.active && attempt == self.attempt {
                 self.pass_on(report, link, now);
@@ -116,7 +118,9 @@ impl Connection {
             News::Message(bytes) => {
                 // The link has given up the session on an error, and says why itself.
                 let _ = link.handle_message(&bytes, now);
-                self.active &= link.has_socket() || self.want(None);
+                if !link.has_socket() {
+                    self.want(None);
+                }
             }
             News::Ended(why) => {
                 self.active = false;
@@ -137,7 +141,9 @@ impl Connection {
     /// Tells the thread which attempt to be at. False if it has ended.
     fn want(&mut self, attempt: Option<Attempt>) -> bool {
         self.active = attempt.is_some();
-        self.wanted.as_ref().is_some_and(|wanted| wanted.send(attempt).is_ok())
+        self.wanted
+            .as_ref()
+            .is_some_and(|wanted| wanted.send(attempt).is_ok())
     }
 
     fn transmit(&mut self, link: &mut Link, now: Duration) {

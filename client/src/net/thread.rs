@@ -4,6 +4,7 @@ use super::failure;
 use super::{Url, Waker};
 use escarp_proto::wire::{MAX_CLIENT_MESSAGE, MAX_SERVER_MESSAGE};
 use futures_util::{Sink, SinkExt, Stream, StreamExt};
+use std::pin::pin;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::net::TcpStream;
@@ -20,6 +21,8 @@ pub(super) type Attempt = u64;
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(10);
 /// How long a close frame may take; it is a courtesy.
 const CLOSE_TIMEOUT: Duration = Duration::from_millis(100);
+/// How long is read on after writing failed.
+const LAST_WORDS_TIMEOUT: Duration = Duration::from_secs(1);
 /// Bytes received and not yet taken by the program. At least the longest message.
 const RECEIVED_BYTES: usize = 2 * MAX_SERVER_MESSAGE;
 
@@ -57,7 +60,10 @@ impl Worker {
     /// Works until the connection is dropped.
     pub(super) fn run(mut self) {
         // Without a runtime the thread ends, which drive() reports.
-        let Ok(runtime) = tokio::runtime::Builder::new_current_thread().enable_all().build() else {
+        let Ok(runtime) = tokio::runtime::Builder::new_current_thread()
+            .enable_all()
+            .build()
+        else {
             return;
         };
         runtime.block_on(self.work());
@@ -91,7 +97,9 @@ impl Worker {
             Ok(socket) => self.session(attempt, socket, &mut wanted).await?,
             Err(why) => why,
         };
-        let ended = self.reports.send((attempt, Report::small(News::Ended(why))));
+        let ended = self
+            .reports
+            .send((attempt, Report::small(News::Ended(why))));
         tokio::select! {
             _ = ended => (self.waker)(),
             _ = wanted.changed() => return Err(Superseded),
@@ -113,10 +121,19 @@ impl Worker {
             waker: &self.waker,
             room: Arc::new(Semaphore::new(RECEIVED_BYTES)),
         };
-        // Both directions at once: a server that does not read must not keep us from reading.
+        let talk = async {
+            let mut reading = pin!(inbox.fill(stream));
+            // Both directions at once: a server that does not read must not keep us from reading.
+            tokio::select! {
+                why = &mut reading => why,
+                // What it said last, such as why it closes, may still be unread.
+                why = write(attempt, &mut self.outgoing, &mut sink) => {
+                    timeout(LAST_WORDS_TIMEOUT, reading).await.unwrap_or(why)
+                }
+            }
+        };
         let end = tokio::select! {
-            why = inbox.fill(stream) => Ok(why),
-            why = write(attempt, &mut self.outgoing, &mut sink) => Ok(why),
+            why = talk => Ok(why),
             _ = wanted.changed() => Err(Superseded),
         };
         if end.is_err() {
@@ -138,9 +155,13 @@ async fn connect(url: &Url) -> Result<WebSocketStream<TcpStream>, String> {
             .await
             .map_err(|error| failure::no_connection(url, &error))?;
         // Cancel and Credit are small and must not wait for each other.
-        stream.set_nodelay(true).map_err(|error| failure::no_connection(url, &error))?;
+        stream
+            .set_nodelay(true)
+            .map_err(|error| failure::no_connection(url, &error))?;
         let socket = client_async_with_config(url.session(), stream, Some(limits())).await;
-        socket.map(|(socket, _)| socket).map_err(|error| failure::no_session(url, &error))
+        socket
+            .map(|(socket, _)| socket)
+            .map_err(|error| failure::no_session(url, &error))
     };
     timeout(CONNECT_TIMEOUT, connecting)
         .await
@@ -191,7 +212,11 @@ impl Inbox<'_> {
         let size = u32::try_from(bytes.len()).ok()?;
         let room = Arc::clone(&self.room).acquire_many_owned(size).await.ok()?;
         let news = News::Message(bytes);
-        self.report(Report { news, _room: Some(room) }).await
+        self.report(Report {
+            news,
+            _room: Some(room),
+        })
+        .await
     }
 
     async fn report(&self, report: Report) -> Option<()> {

@@ -88,7 +88,12 @@ impl FromStr for Url {
 
     fn from_str(url: &str) -> Result<Url, UrlError> {
         parse(url.trim()).map_err(|what| UrlError {
-            url: url.trim().chars().take(200).flat_map(char::escape_debug).collect(),
+            url: url
+                .trim()
+                .chars()
+                .take(200)
+                .flat_map(char::escape_debug)
+                .collect(),
             what,
         })
     }
@@ -99,7 +104,11 @@ fn parse(url: &str) -> Result<Url, String> {
     let (authority, path) = rest.split_once('/').unwrap_or((rest, ""));
     let (host, port) = host_and_port(authority, default_port)?;
     let dataset = dataset(path)?;
-    Ok(Url { host, port, dataset })
+    Ok(Url {
+        host,
+        port,
+        dataset,
+    })
 }
 
 /// The default port of the scheme, and what follows it.
@@ -145,7 +154,9 @@ fn parse_port(text: &str, default_port: u16) -> Result<u16, String> {
     if text.is_empty() {
         return Ok(default_port);
     }
-    let digits = text.strip_prefix(':').filter(|d| d.bytes().all(|b| b.is_ascii_digit()));
+    let digits = text
+        .strip_prefix(':')
+        .filter(|d| d.bytes().all(|b| b.is_ascii_digit()));
     match digits.and_then(|digits| digits.parse().ok()) {
         None | Some(0) => Err(format!("has {text:?} for a port; a port is 1 to 65535")),
         Some(port) => Ok(port),
@@ -160,9 +171,10 @@ fn dataset(path: &str) -> Result<Option<String>, String> {
     let name = percent_decoded(name)?;
     match name.chars().find(|c| c.is_control()) {
         Some(c) => Err(format!("has {c:?} in its NAME")),
-        None if name.len() > MAX_TEXT => {
-            Err(format!("has a NAME of {} bytes, at most {MAX_TEXT} may be", name.len()))
-        }
+        None if name.len() > MAX_TEXT => Err(format!(
+            "has a NAME of {} bytes, at most {MAX_TEXT} may be",
+            name.len()
+        )),
         None => Ok((!name.is_empty()).then_some(name)),
     }
 }
@@ -202,7 +214,10 @@ mod tests {
         assert_eq!(parts(" http://moon.example/lola\n"), moon(80));
         assert_eq!(parts("moon.example:99/lola"), moon(99));
         assert_eq!(parts("moon.example/lola"), moon(DEFAULT_PORT));
-        assert_eq!(parts("[::1]:99/a%2Fb"), ("::1".into(), 99, Some("a/b".into())));
+        assert_eq!(
+            parts("[::1]:99/a%2Fb"),
+            ("::1".into(), 99, Some("a/b".into()))
+        );
         assert_eq!(parts("http://h:1/"), ("h".into(), 1, None));
         assert_eq!(parts("h"), ("h".into(), DEFAULT_PORT, None));
         let v6: Url = "[::1]:99/n".parse().unwrap();
@@ -212,7 +227,10 @@ mod tests {
     #[test]
     fn a_wrong_address_is_told_with_what_was_found() {
         let cases = [
-            ("https://h/n", "has the scheme https: TLS is not supported yet"),
+            (
+                "https://h/n",
+                "has the scheme https: TLS is not supported yet",
+            ),
             ("wss://h/n", "has the scheme wss: TLS is not supported yet"),
             ("ftp://h/n", "has the scheme \"ftp\""),
             ("", "has no host"),
@@ -221,10 +239,16 @@ mod tests {
             ("http://u:p@h/n", "has a user name"),
             ("http://a b/n", "has ' ' in its host"),
             ("http://[::1/n", "has a \"[\" without \"]\""),
-            ("http://[::x]/n", "has the host [::x]: invalid IPv6 address syntax"),
+            (
+                "http://[::x]/n",
+                "has the host [::x]: invalid IPv6 address syntax",
+            ),
             ("h:/n", "has \":\" for a port; a port is 1 to 65535"),
             ("h:0/n", "has \":0\" for a port; a port is 1 to 65535"),
-            ("h:65536/n", "has \":65536\" for a port; a port is 1 to 65535"),
+            (
+                "h:65536/n",
+                "has \":65536\" for a port; a port is 1 to 65535",
+            ),
             ("h:+1/n", "has \":+1\" for a port; a port is 1 to 65535"),
             ("h:1:2/n", "has \":1:2\" for a port; a port is 1 to 65535"),
             ("h:1/a/b", "has '/' in its NAME"),

@@ -44,13 +44,22 @@ impl ModelTags {
             Registration::Grid => 0.0,
             Registration::Cell => 0.5,
         };
-        let layout = match (&self.pixel_scale[..], &self.tiepoints[..], &self.transformation[..]) {
+        let layout = match (
+            &self.pixel_scale[..],
+            &self.tiepoints[..],
+            &self.transformation[..],
+        ) {
             ([sx, sy, ..], [i, j, _, x, y, _, ..], _) if *sx != 0.0 && *sy != 0.0 => {
                 // GDAL and its users hold that a negative y scale is a slip, so the sign of y
                 // never flips here; a south-up raster says so by a transformation.
                 let (dx, dy) = (*sx, sy.abs());
                 Layout {
-                    placement: Placement { x0: x + (shift - i) * dx, y0: y - (shift - j) * dy, dx, dy },
+                    placement: Placement {
+                        x0: x + (shift - i) * dx,
+                        y0: y - (shift - j) * dy,
+                        dx,
+                        dy,
+                    },
                     south_up: false,
                 }
             }
@@ -72,9 +81,21 @@ impl ModelTags {
 /// A raster whose first stored row has its sample at `(x, y)`; `step_y` is negative when north-up.
 fn upright(step_x: f64, step_y: f64, x: f64, y: f64, height: u32) -> Layout {
     let south_up = step_y > 0.0;
-    let y0 = if south_up { y + step_y * f64::from(height - 1) } else { y };
-    let placement = Placement { x0: x, y0, dx: step_x, dy: step_y.abs() };
-    Layout { placement, south_up }
+    let y0 = if south_up {
+        y + step_y * f64::from(height - 1)
+    } else {
+        y
+    };
+    let placement = Placement {
+        x0: x,
+        y0,
+        dx: step_x,
+        dy: step_y.abs(),
+    };
+    Layout {
+        placement,
+        south_up,
+    }
 }
 
 fn check(layout: Layout, path: &Path) -> Result<Layout, DemError> {
@@ -87,7 +108,12 @@ fn check(layout: Layout, path: &Path) -> Result<Layout, DemError> {
         return Ok(layout);
     }
     let found = format!("origin {x0}, {y0}, steps {dx}, {dy}");
-    Err(DemError::damaged(path, "the georeference tags", found, "finite numbers, steps above 0"))
+    Err(DemError::damaged(
+        path,
+        "the georeference tags",
+        found,
+        "finite numbers, steps above 0",
+    ))
 }
 
 fn needs_warp(path: &Path, what: &str) -> DemError {
@@ -106,41 +132,80 @@ mod tests {
 
     fn scaled(tiepoints: &[f64]) -> ModelTags {
         let pixel_scale = vec![2.0, 4.0, 0.0];
-        ModelTags { pixel_scale, tiepoints: tiepoints.into(), ..ModelTags::default() }
+        ModelTags {
+            pixel_scale,
+            tiepoints: tiepoints.into(),
+            ..ModelTags::default()
+        }
     }
 
     fn matrix(a: f64, b: f64, d: f64, e: f64, f: f64, h: f64) -> ModelTags {
-        let transformation =
-            vec![a, b, 0.0, d, e, f, 0.0, h, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0];
-        ModelTags { transformation, ..ModelTags::default() }
+        let transformation = vec![
+            a, b, 0.0, d, e, f, 0.0, h, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0,
+        ];
+        ModelTags {
+            transformation,
+            ..ModelTags::default()
+        }
     }
 
     #[test]
     fn a_tiepoint_names_a_sample_in_one_registration_and_a_corner_in_the_other() {
         let tags = scaled(&[0.0, 0.0, 0.0, 100.0, 200.0, 0.0]);
         let place = |r| layout(&tags, r).unwrap().unwrap().placement;
-        assert_eq!(place(Grid), Placement { x0: 100.0, y0: 200.0, dx: 2.0, dy: 4.0 });
-        assert_eq!(place(Cell), Placement { x0: 101.0, y0: 198.0, dx: 2.0, dy: 4.0 });
+        assert_eq!(
+            place(Grid),
+            Placement {
+                x0: 100.0,
+                y0: 200.0,
+                dx: 2.0,
+                dy: 4.0
+            }
+        );
+        assert_eq!(
+            place(Cell),
+            Placement {
+                x0: 101.0,
+                y0: 198.0,
+                dx: 2.0,
+                dy: 4.0
+            }
+        );
     }
 
     #[test]
     fn a_tiepoint_elsewhere_in_the_raster_counts_back_to_its_corner() {
         let tags = scaled(&[3.0, 2.0, 0.0, 106.0, 192.0, 0.0]);
         let placement = layout(&tags, Cell).unwrap().unwrap().placement;
-        assert_eq!(placement, Placement { x0: 101.0, y0: 198.0, dx: 2.0, dy: 4.0 });
+        assert_eq!(
+            placement,
+            Placement {
+                x0: 101.0,
+                y0: 198.0,
+                dx: 2.0,
+                dy: 4.0
+            }
+        );
     }
 
     #[test]
     fn a_south_up_matrix_is_flipped_to_the_same_place() {
-        let north = layout(&matrix(2.0, 0.0, 100.0, 0.0, -4.0, 200.0), Cell).unwrap().unwrap();
-        let south = layout(&matrix(2.0, 0.0, 100.0, 0.0, 4.0, 180.0), Cell).unwrap().unwrap();
+        let north = layout(&matrix(2.0, 0.0, 100.0, 0.0, -4.0, 200.0), Cell)
+            .unwrap()
+            .unwrap();
+        let south = layout(&matrix(2.0, 0.0, 100.0, 0.0, 4.0, 180.0), Cell)
+            .unwrap()
+            .unwrap();
         assert_eq!((north.south_up, south.south_up), (false, true));
         assert_eq!(north.placement, south.placement);
     }
 
     #[test]
     fn rotation_shear_mirroring_and_control_points_name_gdalwarp() {
-        let gcps = ModelTags { tiepoints: vec![0.0; 12], ..ModelTags::default() };
+        let gcps = ModelTags {
+            tiepoints: vec![0.0; 12],
+            ..ModelTags::default()
+        };
         let rotated = matrix(2.0, 0.1, 0.0, 0.1, -4.0, 0.0);
         let mirrored = matrix(-2.0, 0.0, 0.0, 0.0, -4.0, 0.0);
         for tags in [gcps, rotated, mirrored] {

@@ -29,8 +29,15 @@ impl SharedFile {
     /// Opens `path` at position 0.
     pub fn open(path: &Path) -> Result<Self, DemError> {
         let file = File::open(path).map_err(|e| DemError::io(path, "open", e))?;
-        let length = file.metadata().map_err(|e| DemError::io(path, "ask the size", e))?.len();
-        Ok(Self { file: Arc::new(Mutex::new(file)), position: 0, length })
+        let length = file
+            .metadata()
+            .map_err(|e| DemError::io(path, "ask the size", e))?
+            .len();
+        Ok(Self {
+            file: Arc::new(Mutex::new(file)),
+            position: 0,
+            length,
+        })
     }
 
     /// Bytes in the file when it was opened.
@@ -71,7 +78,9 @@ pub(super) fn decoder(file: SharedFile, path: &Path) -> Result<FileDecoder, DemE
     let mut limits = Limits::default();
     limits.decoding_buffer_size = MAX_CHUNK_BYTES as usize;
     limits.intermediate_buffer_size = 2 * MAX_CHUNK_BYTES as usize;
-    Ok(opened.map_err(|error| explain(error, path, "the TIFF header"))?.with_limits(limits))
+    Ok(opened
+        .map_err(|error| explain(error, path, "the TIFF header"))?
+        .with_limits(limits))
 }
 
 /// How an image is cut.
@@ -157,15 +166,32 @@ impl Chunks {
             ChunkType::Tile => ("tile", Tag::TileOffsets, Tag::TileByteCounts),
         };
         // One strip may claim more rows than there are: 2^32 - 1 is usual.
-        let chunk_height = if kind == "strip" { chunk_height.min(height) } else { chunk_height };
-        let grid = Grid { width, height, chunk_width, chunk_height, kind };
+        let chunk_height = if kind == "strip" {
+            chunk_height.min(height)
+        } else {
+            chunk_height
+        };
+        let grid = Grid {
+            width,
+            height,
+            chunk_width,
+            chunk_height,
+            kind,
+        };
         check_chunk_size(&grid, sample_bytes, path)?;
         let offsets = decoder.get_tag_u64_vec(offsets).map_err(failed)?;
         let byte_counts = decoder.get_tag_u64_vec(counts).map_err(failed)?;
         check_ranges(&grid, &offsets, &byte_counts, file.length(), path)?;
         let row_bytes = grid.chunk_width as usize * sample_bytes as usize;
         let idle = Mutex::new(vec![decoder]);
-        Ok(Self { path: path.into(), file, grid, row_bytes, byte_counts, idle })
+        Ok(Self {
+            path: path.into(),
+            file,
+            grid,
+            row_bytes,
+            byte_counts,
+            idle,
+        })
     }
 
     /// How the image is cut.
@@ -178,11 +204,18 @@ impl Chunks {
     /// # Errors
     /// [`DemError::Damaged`] naming the chunk.
     pub fn decode(&self, indices: &[u32]) -> Result<Vec<Chunk>, DemError> {
-        indices.par_iter().map(|index| self.decode_one(*index)).collect()
+        indices
+            .par_iter()
+            .map(|index| self.decode_one(*index))
+            .collect()
     }
 
     fn decode_one(&self, index: u32) -> Result<Chunk, DemError> {
-        if self.byte_counts.get(index as usize).is_none_or(|count| *count == 0) {
+        if self
+            .byte_counts
+            .get(index as usize)
+            .is_none_or(|count| *count == 0)
+        {
             return Ok(None);
         }
         let mut decoder = match self.idle_decoders().pop() {
@@ -210,8 +243,17 @@ fn check_chunk_size(grid: &Grid, sample_bytes: u32, path: &Path) -> Result<(), D
     if bytes <= MAX_CHUNK_BYTES {
         return Ok(());
     }
-    let what = format!("a TIFF {} (gdal_translate -co TILED=YES makes smaller ones)", grid.kind);
-    Err(DemError::limits(path, what, bytes, MAX_CHUNK_BYTES, "bytes"))
+    let what = format!(
+        "a TIFF {} (gdal_translate -co TILED=YES makes smaller ones)",
+        grid.kind
+    );
+    Err(DemError::limits(
+        path,
+        what,
+        bytes,
+        MAX_CHUNK_BYTES,
+        "bytes",
+    ))
 }
 
 fn check_ranges(
@@ -224,7 +266,12 @@ fn check_ranges(
     let expected = u64::from(grid.across()) * u64::from(grid.height.div_ceil(grid.chunk_height));
     if offsets.len() as u64 != expected || counts.len() as u64 != expected {
         let found = format!("{} offsets, {} byte counts", offsets.len(), counts.len());
-        return Err(DemError::damaged(path, "the TIFF chunk tags", found, format!("{expected}")));
+        return Err(DemError::damaged(
+            path,
+            "the TIFF chunk tags",
+            found,
+            format!("{expected}"),
+        ));
     }
     for (index, (offset, count)) in offsets.iter().zip(counts).enumerate() {
         let end = offset.saturating_add(*count);
@@ -250,9 +297,12 @@ fn guarded<T>(run: impl FnOnce() -> Result<T, TiffError>) -> Result<T, TiffError
 pub(super) fn explain(error: TiffError, path: &Path, place: impl Into<String>) -> DemError {
     match error {
         TiffError::UnsupportedError(what) => unsupported(&what, path),
-        TiffError::LimitsExceeded | TiffError::IntSizeError => {
-            DemError::damaged(path, place, "sizes beyond all limits", "at most 256 MiB a part")
-        }
+        TiffError::LimitsExceeded | TiffError::IntSizeError => DemError::damaged(
+            path,
+            place,
+            "sizes beyond all limits",
+            "at most 256 MiB a part",
+        ),
         TiffError::IoError(error) => match error.kind() {
             io::ErrorKind::UnexpectedEof => {
                 let expected = "more bytes (is the file cut short?)";
@@ -268,7 +318,10 @@ pub(super) fn explain(error: TiffError, path: &Path, place: impl Into<String>) -
 }
 
 fn unsupported(what: &TiffUnsupportedError, path: &Path) -> DemError {
-    let hint = format!("convert it: gdal_translate -co COMPRESS=DEFLATE {}", in_and_out(path));
+    let hint = format!(
+        "convert it: gdal_translate -co COMPRESS=DEFLATE {}",
+        in_and_out(path)
+    );
     DemError::unsupported(path, format!("this TIFF ({what})"), hint)
 }
 
@@ -276,8 +329,13 @@ fn unsupported(what: &TiffUnsupportedError, path: &Path) -> DemError {
 mod tests {
     use super::*;
 
-    const GRID: Grid =
-        Grid { width: 10, height: 7, chunk_width: 4, chunk_height: 3, kind: "tile" };
+    const GRID: Grid = Grid {
+        width: 10,
+        height: 7,
+        chunk_width: 4,
+        chunk_height: 3,
+        kind: "tile",
+    };
 
     #[test]
     fn rows_touch_whole_rows_of_chunks() {
@@ -289,7 +347,23 @@ mod tests {
 
     #[test]
     fn the_last_chunks_end_with_the_image() {
-        assert_eq!(GRID.window(8), Window { top: 6, bottom: 7, left: 8, right: 10 });
-        assert_eq!(GRID.window(0), Window { top: 0, bottom: 3, left: 0, right: 4 });
+        assert_eq!(
+            GRID.window(8),
+            Window {
+                top: 6,
+                bottom: 7,
+                left: 8,
+                right: 10
+            }
+        );
+        assert_eq!(
+            GRID.window(0),
+            Window {
+                top: 0,
+                bottom: 3,
+                left: 0,
+                right: 4
+            }
+        );
     }
 }

@@ -74,7 +74,10 @@ pub enum DemError {
 
 impl DemError {
     pub(super) fn not_a_dem(path: &Path, found: impl Into<String>) -> Self {
-        Self::NotADem { path: path.into(), found: found.into() }
+        Self::NotADem {
+            path: path.into(),
+            found: found.into(),
+        }
     }
 
     pub(super) fn damaged(
@@ -84,7 +87,12 @@ impl DemError {
         expected: impl Into<String>,
     ) -> Self {
         let (place, found, expected) = (place.into(), found.into(), expected.into());
-        Self::Damaged { path: path.into(), place, found, expected }
+        Self::Damaged {
+            path: path.into(),
+            place,
+            found,
+            expected,
+        }
     }
 
     pub(super) fn unsupported(
@@ -92,7 +100,11 @@ impl DemError {
         what: impl Into<String>,
         hint: impl Into<String>,
     ) -> Self {
-        Self::Unsupported { path: path.into(), what: what.into(), hint: hint.into() }
+        Self::Unsupported {
+            path: path.into(),
+            what: what.into(),
+            hint: hint.into(),
+        }
     }
 
     pub(super) fn limits(
@@ -102,15 +114,29 @@ impl DemError {
         allowed: u64,
         unit: &'static str,
     ) -> Self {
-        Self::Limits { path: path.into(), what: what.into(), found, allowed, unit }
+        Self::Limits {
+            path: path.into(),
+            what: what.into(),
+            found,
+            allowed,
+            unit,
+        }
     }
 
-    pub(super) fn usage(path: &Path, what: impl Into<String>, hint: impl Into<String>) -> Self {
-        Self::Usage { path: path.into(), what: what.into(), hint: hint.into() }
+    pub(crate) fn usage(path: &Path, what: impl Into<String>, hint: impl Into<String>) -> Self {
+        Self::Usage {
+            path: path.into(),
+            what: what.into(),
+            hint: hint.into(),
+        }
     }
 
     pub(super) fn io(path: &Path, doing: &'static str, source: std::io::Error) -> Self {
-        Self::Io { path: path.into(), doing, source }
+        Self::Io {
+            path: path.into(),
+            doing,
+            source,
+        }
     }
 }
 

@@ -88,7 +88,12 @@ impl GeoKeys {
         let (entries, _) = entries.as_chunks::<4>();
         if entries.len() < usize::from(*count) {
             let found = format!("{} of {count} keys", entries.len());
-            return Err(DemError::damaged(path, "GeoKeyDirectory", found, "all of them"));
+            return Err(DemError::damaged(
+                path,
+                "GeoKeyDirectory",
+                found,
+                "all of them",
+            ));
         }
         for &[id, location, length, value] in &entries[..usize::from(*count)] {
             let (from, to) = (usize::from(value), usize::from(value) + usize::from(length));
@@ -109,7 +114,11 @@ impl GeoKeys {
 
     /// Cell where the file does not say, as GDAL has it.
     pub fn registration(&self) -> Registration {
-        if self.code(key::RASTER_TYPE) == Some(2) { Registration::Grid } else { Registration::Cell }
+        if self.code(key::RASTER_TYPE) == Some(2) {
+            Registration::Grid
+        } else {
+            Registration::Cell
+        }
     }
 
     /// What the coordinates mean; `None` where no key says so.
@@ -118,7 +127,9 @@ impl GeoKeys {
     /// [`DemError::Unsupported`] for geocentric coordinates, angles other than degrees, units or
     /// bodies that are not known.
     pub fn crs(&self, path: &Path) -> Result<Option<Crs>, DemError> {
-        let model = self.code(key::MODEL_TYPE).filter(|code| *code != USER_DEFINED);
+        let model = self
+            .code(key::MODEL_TYPE)
+            .filter(|code| *code != USER_DEFINED);
         match model {
             Some(1) => self.projected(path).map(Some),
             Some(2) => self.geographic(path).map(Some),
@@ -134,7 +145,9 @@ impl GeoKeys {
     /// # Errors
     /// [`DemError::Unsupported`] for a unit that is not a known length.
     pub fn vertical_metres(&self, path: &Path) -> Result<Option<f64>, DemError> {
-        let Some(code) = self.code(key::VERTICAL_UNITS).filter(|code| ![0, USER_DEFINED].contains(code))
+        let Some(code) = self
+            .code(key::VERTICAL_UNITS)
+            .filter(|code| ![0, USER_DEFINED].contains(code))
         else {
             return Ok(None);
         };
@@ -158,7 +171,10 @@ impl GeoKeys {
         };
         match metres_per_unit {
             Some(metres_per_unit) if metres_per_unit.is_finite() && metres_per_unit > 0.0 => {
-                Ok(Crs::Projected { name, metres_per_unit })
+                Ok(Crs::Projected {
+                    name,
+                    metres_per_unit,
+                })
             }
             _ => Err(self.reproject(path, "its linear unit")),
         }
@@ -217,7 +233,9 @@ impl GeoKeys {
     }
 
     fn epsg(&self, id: u16) -> Option<String> {
-        let code = self.code(id).filter(|code| ![0, USER_DEFINED].contains(code))?;
+        let code = self
+            .code(id)
+            .filter(|code| ![0, USER_DEFINED].contains(code))?;
         Some(format!("EPSG:{code}"))
     }
 
@@ -227,7 +245,10 @@ impl GeoKeys {
             return None;
         };
         let first = text.split('|').next().unwrap_or_default();
-        let name = first.rsplit_once(" = ").map_or(first, |(_, name)| name).trim();
+        let name = first
+            .rsplit_once(" = ")
+            .map_or(first, |(_, name)| name)
+            .trim();
         (!name.is_empty()).then(|| name.to_string())
     }
 }
@@ -269,25 +290,43 @@ mod tests {
             [2049, ASCII_TAG, 33, 0],
             [2057, DOUBLES_TAG, 1, 0],
         ];
-        let moon = keys(&entries, &[1_737_400.0], "GCS Name = Moon 2000|Datum = Moon|");
-        let expected = Crs::Geographic { name: "Moon 2000".into(), radius_m: 1_737_400.0 };
+        let moon = keys(
+            &entries,
+            &[1_737_400.0],
+            "GCS Name = Moon 2000|Datum = Moon|",
+        );
+        let expected = Crs::Geographic {
+            name: "Moon 2000".into(),
+            radius_m: 1_737_400.0,
+        };
         assert_eq!(moon.crs(Path::new("f")).unwrap(), Some(expected));
     }
 
     #[test]
     fn us_survey_feet_become_metres_across_and_up() {
-        let entries =
-            [[1024, 0, 1, 1], [3072, 0, 1, 2225], [3076, 0, 1, 9003], [4099, 0, 1, 9002]];
+        let entries = [
+            [1024, 0, 1, 1],
+            [3072, 0, 1, 2225],
+            [3076, 0, 1, 9003],
+            [4099, 0, 1, 9002],
+        ];
         let feet = keys(&entries, &[], "");
         let metres_per_unit = 1200.0 / 3937.0;
-        let expected = Crs::Projected { name: "EPSG:2225".into(), metres_per_unit };
+        let expected = Crs::Projected {
+            name: "EPSG:2225".into(),
+            metres_per_unit,
+        };
         assert_eq!(feet.crs(Path::new("f")).unwrap(), Some(expected));
         assert_eq!(feet.vertical_metres(Path::new("f")).unwrap(), Some(0.3048));
     }
 
     #[test]
     fn angles_in_grads_are_refused_with_the_command_that_converts() {
-        let grads = keys(&[[1024, 0, 1, 2], [2048, 0, 1, 4807], [2054, 0, 1, 9105]], &[], "");
+        let grads = keys(
+            &[[1024, 0, 1, 2], [2048, 0, 1, 4807], [2054, 0, 1, 9105]],
+            &[],
+            "",
+        );
         let error = grads.crs(Path::new("f.tif")).unwrap_err().to_string();
         assert!(error.contains("gdalwarp"), "{error}");
     }

@@ -47,7 +47,9 @@ impl GeoTiff {
         let file = SharedFile::open(path)?;
         let mut tiff = decoder(file.clone(), path)?;
         let sample_type = sample_type(&mut tiff, path)?;
-        let (width, height) = tiff.dimensions().map_err(|e| explain(e, path, "the TIFF size"))?;
+        let (width, height) = tiff
+            .dimensions()
+            .map_err(|e| explain(e, path, "the TIFF size"))?;
         let keys = geo_keys(&mut tiff, path)?;
         let (layout, crs) = place(&mut tiff, &keys, height, path, options)?;
         let rule = height_rule(&mut tiff, &keys, options, path)?;
@@ -66,7 +68,13 @@ impl GeoTiff {
         };
         info.check_size()?;
         let chunks = Chunks::new(tiff, file, sample_type.bytes(), path)?;
-        Ok(Self { info, rule, south_up: layout.south_up, chunks, kept: Vec::new() })
+        Ok(Self {
+            info,
+            rule,
+            south_up: layout.south_up,
+            chunks,
+            kept: Vec::new(),
+        })
     }
 
     /// Stored rows of a band: the same numbers, or counted from the other end.
@@ -86,7 +94,11 @@ impl GeoTiff {
         let width = self.info.width as usize;
         let chunk_width = self.chunks.grid().chunk_width as usize;
         for row in window.top.max(band.0)..window.bottom.min(band.1) {
-            let out_row = if self.south_up { band.1 - 1 - row } else { row - band.0 } as usize;
+            let out_row = if self.south_up {
+                band.1 - 1 - row
+            } else {
+                row - band.0
+            } as usize;
             let start = out_row * width + window.left as usize;
             let from = (row - window.top) as usize * chunk_width;
             copy(chunk, from, &self.rule, &mut out[start..start + across]);
@@ -114,8 +126,9 @@ impl DemSource for GeoTiff {
         for (index, chunk) in &kept {
             self.place_chunk(*index, chunk, band, out);
         }
-        let missing: Vec<u32> =
-            wanted.filter(|index| kept.iter().all(|(have, _)| have != index)).collect();
+        let missing: Vec<u32> = wanted
+            .filter(|index| kept.iter().all(|(have, _)| have != index))
+            .collect();
         kept.retain(|(index, _)| self.reaches_beyond(*index, band));
         let mut kept_bytes: u64 = kept.iter().map(|(_, chunk)| byte_len(chunk)).sum();
         for batch in missing.chunks(BATCH) {
@@ -138,16 +151,16 @@ fn copy(chunk: &Chunk, from: usize, rule: &HeightRule, out: &mut [f64]) {
     use DecodingResult as D;
     match chunk {
         None => out.fill(f64::NAN),
-        Some(D::U8(v)) => convert(v, from, rule, out, |s| f64::from(s)),
-        Some(D::I8(v)) => convert(v, from, rule, out, |s| f64::from(s)),
-        Some(D::U16(v)) => convert(v, from, rule, out, |s| f64::from(s)),
-        Some(D::I16(v)) => convert(v, from, rule, out, |s| f64::from(s)),
-        Some(D::U32(v)) => convert(v, from, rule, out, |s| f64::from(s)),
-        Some(D::I32(v)) => convert(v, from, rule, out, |s| f64::from(s)),
+        Some(D::U8(v)) => convert(v, from, rule, out, f64::from),
+        Some(D::I8(v)) => convert(v, from, rule, out, f64::from),
+        Some(D::U16(v)) => convert(v, from, rule, out, f64::from),
+        Some(D::I16(v)) => convert(v, from, rule, out, f64::from),
+        Some(D::U32(v)) => convert(v, from, rule, out, f64::from),
+        Some(D::I32(v)) => convert(v, from, rule, out, f64::from),
         Some(D::U64(v)) => convert(v, from, rule, out, |s| s as f64),
         Some(D::I64(v)) => convert(v, from, rule, out, |s| s as f64),
         Some(D::F16(v)) => convert(v, from, rule, out, |s| s.to_f64()),
-        Some(D::F32(v)) => convert(v, from, rule, out, |s| f64::from(s)),
+        Some(D::F32(v)) => convert(v, from, rule, out, f64::from),
         Some(D::F64(v)) => convert(v, from, rule, out, |s| s),
     }
 }
@@ -188,13 +201,19 @@ fn sample_type(tiff: &mut FileDecoder, path: &Path) -> Result<SampleType, DemErr
     let code = |tiff: &mut FileDecoder, tag, default: u16| {
         let found = tiff.find_tag_unsigned_vec::<u16>(tag);
         let found = found.map_err(|e| explain(e, path, format!("{tag:?}")))?;
-        Ok(found.and_then(|codes| codes.first().copied()).unwrap_or(default))
+        Ok(found
+            .and_then(|codes| codes.first().copied())
+            .unwrap_or(default))
     };
     check_compression(code(tiff, Tag::Compression, 1)?, path)?;
     let bands = code(tiff, Tag::SamplesPerPixel, 1)?;
     if bands != 1 {
         let hint = format!("take one: gdal_translate -b 1 {}", in_and_out(path));
-        return Err(DemError::unsupported(path, format!("an image with {bands} bands"), hint));
+        return Err(DemError::unsupported(
+            path,
+            format!("an image with {bands} bands"),
+            hint,
+        ));
     }
     let photometric = code(tiff, Tag::PhotometricInterpretation, 1)?;
     if photometric != 1 {
@@ -218,7 +237,10 @@ fn sample_type(tiff: &mut FileDecoder, path: &Path) -> Result<SampleType, DemErr
         (3, 32) => Ok(SampleType::F32),
         (3, 64) => Ok(SampleType::F64),
         _ => {
-            let hint = format!("convert it: gdal_translate -ot Float32 {}", in_and_out(path));
+            let hint = format!(
+                "convert it: gdal_translate -ot Float32 {}",
+                in_and_out(path)
+            );
             let what = format!("sample format {format} with {bits} bits");
             Err(DemError::unsupported(path, what, hint))
         }
@@ -240,8 +262,15 @@ fn check_compression(code: u16, path: &Path) -> Result<(), DemError> {
         50002 => "JPEG XL",
         _ => "unknown",
     };
-    let hint = format!("convert it: gdal_translate -co COMPRESS=DEFLATE {}", in_and_out(path));
-    Err(DemError::unsupported(path, format!("TIFF compression {code} ({name})"), hint))
+    let hint = format!(
+        "convert it: gdal_translate -co COMPRESS=DEFLATE {}",
+        in_and_out(path)
+    );
+    Err(DemError::unsupported(
+        path,
+        format!("TIFF compression {code} ({name})"),
+        hint,
+    ))
 }
 
 fn geo_keys(tiff: &mut FileDecoder, path: &Path) -> Result<GeoKeys, DemError> {
@@ -274,11 +303,21 @@ fn place(
                 "name it: gdal_translate -a_srs EPSG:CODE {}, or give --spacing in metres",
                 in_and_out(path)
             );
-            Err(DemError::usage(path, "it is placed, but in no named coordinate system", hint))
+            Err(DemError::usage(
+                path,
+                "it is placed, but in no named coordinate system",
+                hint,
+            ))
         }
         _ => {
             let placement = local_placement(options, path)?;
-            Ok((Layout { placement, south_up: false }, Crs::Local))
+            Ok((
+                Layout {
+                    placement,
+                    south_up: false,
+                },
+                Crs::Local,
+            ))
         }
     }
 }
@@ -320,7 +359,11 @@ fn height_unit_m(unit: Option<&str>, keys: &GeoKeys, path: &Path) -> Result<f64,
         Some("dm" | "decimetre" | "decimeter") => Ok(0.1),
         Some(other) => {
             let hint = "give the metres of one unit as --height-step";
-            Err(DemError::unsupported(path, format!("height unit {other:?}"), hint))
+            Err(DemError::unsupported(
+                path,
+                format!("height unit {other:?}"),
+                hint,
+            ))
         }
     }
 }
@@ -334,12 +377,17 @@ fn metadata_item<'a>(metadata: &'a str, role: &str) -> Option<&'a str> {
 
 fn parse(text: &str, path: &Path, place: &str) -> Result<f64, DemError> {
     let text = text.trim();
-    text.parse().map_err(|_| DemError::damaged(path, place, format!("{text:?}"), "a number"))
+    text.parse()
+        .map_err(|_| DemError::damaged(path, place, format!("{text:?}"), "a number"))
 }
 
 fn doubles(tiff: &mut FileDecoder, tag: Tag, path: &Path) -> Result<Vec<f64>, DemError> {
-    let value = tiff.find_tag(tag).and_then(|v| v.map(|v| v.into_f64_vec()).transpose());
-    Ok(value.map_err(|e| explain(e, path, format!("{tag:?}")))?.unwrap_or_default())
+    let value = tiff
+        .find_tag(tag)
+        .and_then(|v| v.map(|v| v.into_f64_vec()).transpose());
+    Ok(value
+        .map_err(|e| explain(e, path, format!("{tag:?}")))?
+        .unwrap_or_default())
 }
 
 /// A text tag without its closing NUL. Read as bytes, as old citations are not UTF-8.
@@ -350,7 +398,9 @@ fn text(tiff: &mut FileDecoder, tag: Tag, path: &Path) -> Result<Option<String>,
     };
     let mut bytes = vec![0; entry.count().min(MAX_TEXT_BYTES) as usize];
     let read = ifd.find_tag_bytes(tag, &mut bytes, 0);
-    let read = read.map_err(|e| explain(e, path, format!("{tag:?}")))?.unwrap_or(0);
+    let read = read
+        .map_err(|e| explain(e, path, format!("{tag:?}")))?
+        .unwrap_or(0);
     bytes.truncate(read);
     let text = String::from_utf8_lossy(&bytes);
     Ok(Some(text.trim_matches(['\0', ' ', '\n']).to_string()))

@@ -15,7 +15,11 @@ pub(super) struct HeightRule {
 
 impl HeightRule {
     /// Metres as they are, no holes.
-    pub const METRES: Self = Self { step_m: 1.0, offset_m: 0.0, nodata: None };
+    pub const METRES: Self = Self {
+        step_m: 1.0,
+        offset_m: 0.0,
+        nodata: None,
+    };
 
     /// The file's rule with the user's wishes on top; `sample_type` decides how nodata rounds.
     ///
@@ -39,14 +43,22 @@ impl HeightRule {
         };
         if !rule.step_m.is_finite() || rule.step_m == 0.0 || !rule.offset_m.is_finite() {
             let what = format!("height step {} m, offset {} m", rule.step_m, rule.offset_m);
-            return Err(DemError::usage(path, what, "both must be finite and the step not 0"));
+            return Err(DemError::usage(
+                path,
+                what,
+                "both must be finite and the step not 0",
+            ));
         }
         Ok(rule)
     }
 
     /// Height in metres; NaN for a hole.
     pub fn height_m(&self, stored: f64) -> f64 {
-        if Some(stored) == self.nodata { f64::NAN } else { stored * self.step_m + self.offset_m }
+        if Some(stored) == self.nodata {
+            f64::NAN
+        } else {
+            stored * self.step_m + self.offset_m
+        }
     }
 }
 
@@ -83,11 +95,22 @@ mod tests {
 
     #[test]
     fn f32_nodata_matches_after_rounding_however_it_was_printed() {
-        for text in ["-3.4028234663852886e+38", "-3.40282347e+38", "-3.4028235e38", "-3.5e38"] {
-            let file = HeightRule { nodata: text.parse().ok(), ..HeightRule::METRES };
+        for text in [
+            "-3.4028234663852886e+38",
+            "-3.40282347e+38",
+            "-3.4028235e38",
+            "-3.5e38",
+        ] {
+            let file = HeightRule {
+                nodata: text.parse().ok(),
+                ..HeightRule::METRES
+            };
             let options = OpenOptions::default();
             let rule = HeightRule::resolve(file, &options, SampleType::F32, Path::new("f"));
-            assert!(rule.unwrap().height_m(f64::from(f32::MIN)).is_nan(), "{text}");
+            assert!(
+                rule.unwrap().height_m(f64::from(f32::MIN)).is_nan(),
+                "{text}"
+            );
         }
     }
 
@@ -99,7 +122,10 @@ mod tests {
             nodata: Some(7.0),
             ..OpenOptions::default()
         };
-        let file = HeightRule { nodata: Some(0.0), ..HeightRule::METRES };
+        let file = HeightRule {
+            nodata: Some(0.0),
+            ..HeightRule::METRES
+        };
         let rule = HeightRule::resolve(file, &options, SampleType::U16, Path::new("f")).unwrap();
         assert_eq!(rule.height_m(100.0), 5.0);
         assert_eq!(rule.height_m(0.0), -5.0);
@@ -108,7 +134,10 @@ mod tests {
 
     #[test]
     fn a_step_of_zero_is_refused() {
-        let options = OpenOptions { height_step_m: Some(0.0), ..OpenOptions::default() };
+        let options = OpenOptions {
+            height_step_m: Some(0.0),
+            ..OpenOptions::default()
+        };
         let rule =
             HeightRule::resolve(HeightRule::METRES, &options, SampleType::U8, Path::new("f"));
         assert!(matches!(rule, Err(DemError::Usage { .. })));

@@ -6,7 +6,7 @@
 
 use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use zip::ZipArchive;
 use zip::result::ZipError;
@@ -24,7 +24,10 @@ enum Store {
     /// Rows are read where they lie.
     Plain(File),
     /// The zip is decompressed whole (at most 26 MB) when rows are first asked for.
-    Zipped { entry: usize, samples: Option<Vec<u8>> },
+    Zipped {
+        entry: usize,
+        samples: Option<Vec<u8>>,
+    },
 }
 
 /// One open tile.
@@ -36,7 +39,9 @@ pub(super) struct Hgt {
 
 /// Whether a file without magic is a tile: by its size, or by its extension.
 pub(super) fn looks_like(path: &Path, length: u64) -> bool {
-    let extension = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("hgt"));
+    let extension = path
+        .extension()
+        .is_some_and(|e| e.eq_ignore_ascii_case("hgt"));
     extension || (side_of(length).is_some() && corner(&stem(path)).is_some())
 }
 
@@ -47,7 +52,10 @@ impl Hgt {
     /// [`DemError::Damaged`] for another size, [`DemError::Usage`] for a name without a place.
     pub fn open(path: &Path, options: &OpenOptions) -> Result<Self, DemError> {
         let file = File::open(path).map_err(|e| DemError::io(path, "open", e))?;
-        let length = file.metadata().map_err(|e| DemError::io(path, "ask the size", e))?.len();
+        let length = file
+            .metadata()
+            .map_err(|e| DemError::io(path, "ask the size", e))?
+            .len();
         Self::new(path, &stem(path), length, Store::Plain(file), options)
     }
 
@@ -61,7 +69,10 @@ impl Hgt {
         let file = archive.by_index(entry).map_err(|e| zip_error(e, path))?;
         let length = file.size();
         drop(file);
-        let store = Store::Zipped { entry, samples: None };
+        let store = Store::Zipped {
+            entry,
+            samples: None,
+        };
         Self::new(path, &stem(Path::new(&name)), length, store, options)
     }
 
@@ -80,7 +91,10 @@ impl Hgt {
             let hint = "name it after its south-west corner, such as N36W115.hgt";
             DemError::usage(path, format!("the name {name:?} says no place"), hint)
         })?;
-        let file_rule = HeightRule { nodata: Some(VOID), ..HeightRule::METRES };
+        let file_rule = HeightRule {
+            nodata: Some(VOID),
+            ..HeightRule::METRES
+        };
         let rule = HeightRule::resolve(file_rule, options, SampleType::I16, path)?;
         let step = 1.0 / f64::from(side - 1);
         let info = DemInfo {
@@ -88,8 +102,16 @@ impl Hgt {
             format: "SRTM hgt",
             width: side,
             height: side,
-            placement: Placement { x0: longitude, y0: latitude + 1.0, dx: step, dy: step },
-            crs: Crs::Geographic { name: "EPSG:4326".into(), radius_m: WGS84_RADIUS_M },
+            placement: Placement {
+                x0: longitude,
+                y0: latitude + 1.0,
+                dx: step,
+                dy: step,
+            },
+            crs: Crs::Geographic {
+                name: "EPSG:4326".into(),
+                radius_m: WGS84_RADIUS_M,
+            },
             registration: Registration::Grid,
             sample_type: SampleType::I16,
             height_step_m: rule.step_m,
@@ -137,7 +159,9 @@ impl DemSource for Hgt {
 }
 
 fn side_of(length: u64) -> Option<u32> {
-    SIDES.into_iter().find(|side| u64::from(*side).pow(2) * 2 == length)
+    SIDES
+        .into_iter()
+        .find(|side| u64::from(*side).pow(2) * 2 == length)
 }
 
 /// The file name up to its first dot: `N36W115` of `N36W115.SRTMGL1.hgt`.
@@ -158,7 +182,10 @@ fn signed(text: &str, letters: [char; 2], digits: usize, most: u16) -> Option<(f
     let letter = text.chars().next()?.to_ascii_uppercase();
     let sign = [1.0, -1.0][letters.iter().position(|l| *l == letter)?];
     let (number, rest) = text.get(1..)?.split_at_checked(digits)?;
-    let whole: u16 = number.bytes().all(|b| b.is_ascii_digit()).then(|| number.parse().ok())??;
+    let whole: u16 = number
+        .bytes()
+        .all(|b| b.is_ascii_digit())
+        .then(|| number.parse().ok())??;
     (whole <= most).then(|| (sign * f64::from(whole), rest))
 }
 
@@ -179,11 +206,14 @@ fn tile_entry(archive: &mut Archive, path: &Path) -> Result<(usize, String), Dem
             return Ok((index, name.into_owned()));
         }
     }
-    let found = format!("a zip of {} entries, none of them .hgt (unzip it first)", archive.len());
+    let found = format!(
+        "a zip of {} entries, none of them .hgt (unzip it first)",
+        archive.len()
+    );
     Err(DemError::not_a_dem(path, found))
 }
 
-fn unpack(path: &PathBuf, entry: usize, len: usize) -> Result<Vec<u8>, DemError> {
+fn unpack(path: &Path, entry: usize, len: usize) -> Result<Vec<u8>, DemError> {
     let mut archive = archive(path)?;
     let mut file = archive.by_index(entry).map_err(|e| zip_error(e, path))?;
     let mut bytes = vec![0; len];
@@ -194,8 +224,18 @@ fn unpack(path: &PathBuf, entry: usize, len: usize) -> Result<Vec<u8>, DemError>
     // The checksum is compared when the end is met.
     match file.read(&mut [0]) {
         Ok(0) => Ok(bytes),
-        Ok(_) => Err(DemError::damaged(path, "the zip entry", "more bytes", format!("{len}"))),
-        Err(e) => Err(DemError::damaged(path, "the zip entry", e.to_string(), "its checksum")),
+        Ok(_) => Err(DemError::damaged(
+            path,
+            "the zip entry",
+            "more bytes",
+            format!("{len}"),
+        )),
+        Err(e) => Err(DemError::damaged(
+            path,
+            "the zip entry",
+            e.to_string(),
+            "its checksum",
+        )),
     }
 }
 
@@ -217,7 +257,13 @@ mod tests {
     use super::*;
 
     fn tile() -> Vec<u8> {
-        hgt_bytes(1201, |row, column| if row == 3 && column == 4 { -32768 } else { row as i16 - column as i16 })
+        hgt_bytes(1201, |row, column| {
+            if row == 3 && column == 4 {
+                -32768
+            } else {
+                row as i16 - column as i16
+            }
+        })
     }
 
     #[test]
@@ -225,7 +271,16 @@ mod tests {
         assert_eq!(corner("N36W115"), Some((36.0, -115.0)));
         assert_eq!(corner("s01e009"), Some((-1.0, 9.0)));
         assert_eq!(corner("N00E000"), Some((0.0, 0.0)));
-        for bad in ["", "N3", "N36", "X36W115", "N36W11x", "N99W115", "N36W999", "Nä36W115"] {
+        for bad in [
+            "",
+            "N3",
+            "N36",
+            "X36W115",
+            "N36W11x",
+            "N99W115",
+            "N36W999",
+            "Nä36W115",
+        ] {
             assert_eq!(corner(bad), None, "{bad}");
         }
     }
@@ -250,8 +305,14 @@ mod tests {
     fn a_tile_cut_short_names_the_sizes_allowed() {
         let folder = Folder::new();
         let path = folder.write("N36W115.hgt", &tile()[..1000]);
-        let error = Hgt::open(&path, &OpenOptions::default()).err().unwrap().to_string();
-        assert!(error.contains("1000 bytes") && error.contains("2884802"), "{error}");
+        let error = Hgt::open(&path, &OpenOptions::default())
+            .err()
+            .unwrap()
+            .to_string();
+        assert!(
+            error.contains("1000 bytes") && error.contains("2884802"),
+            "{error}"
+        );
     }
 
     #[test]
@@ -266,7 +327,9 @@ mod tests {
     fn a_zip_without_a_tile_is_not_a_dem() {
         let folder = Folder::new();
         let path = folder.write("a.zip", &zip_bytes("readme.txt", b"hello"));
-        let error = super::super::open(&path, &OpenOptions::default()).err().unwrap();
+        let error = super::super::open(&path, &OpenOptions::default())
+            .err()
+            .unwrap();
         assert!(matches!(error, DemError::NotADem { .. }), "{error}");
     }
 

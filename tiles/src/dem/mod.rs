@@ -190,16 +190,29 @@ pub struct OpenOptions {
 
 impl DemInfo {
     /// Checks a band asked of [`DemSource::read_rows`].
-    fn check_band(&self, first_row: u32, rows: u32, out: &[f64]) -> Result<(), DemError> {
+    pub(crate) fn check_band(
+        &self,
+        first_row: u32,
+        rows: u32,
+        out: &[f64],
+    ) -> Result<(), DemError> {
         let end = u64::from(first_row) + u64::from(rows);
         if end > u64::from(self.height) {
             let what = format!("rows {first_row}..{end} were asked of {} rows", self.height);
-            return Err(DemError::usage(&self.path, what, "ask only for rows that exist"));
+            return Err(DemError::usage(
+                &self.path,
+                what,
+                "ask only for rows that exist",
+            ));
         }
         let samples = u64::from(rows) * u64::from(self.width);
         if out.len() as u64 != samples {
             let what = format!("a buffer of {} samples for a band of {samples}", out.len());
-            return Err(DemError::usage(&self.path, what, "give rows * width samples"));
+            return Err(DemError::usage(
+                &self.path,
+                what,
+                "give rows * width samples",
+            ));
         }
         Ok(())
     }
@@ -208,11 +221,18 @@ impl DemInfo {
     fn check_size(&self) -> Result<(), DemError> {
         for (side, found) in [("width", self.width), ("height", self.height)] {
             if found == 0 {
-                return Err(DemError::damaged(&self.path, side, "0 samples", "at least 1"));
+                return Err(DemError::damaged(
+                    &self.path,
+                    side,
+                    "0 samples",
+                    "at least 1",
+                ));
             }
             if found > MAX_SIDE_SAMPLES {
                 let (found, allowed) = (u64::from(found), u64::from(MAX_SIDE_SAMPLES));
-                return Err(DemError::limits(&self.path, side, found, allowed, "samples"));
+                return Err(DemError::limits(
+                    &self.path, side, found, allowed, "samples",
+                ));
             }
         }
         Ok(())

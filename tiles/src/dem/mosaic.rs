@@ -59,16 +59,29 @@ impl Mosaic {
             .collect::<Result<_, _>>()?;
         let Some(first) = infos.first() else {
             let hint = "name at least one file";
-            return Err(DemError::usage(&PathBuf::from("(no input)"), "no files were given", hint));
+            return Err(DemError::usage(
+                &PathBuf::from("(no input)"),
+                "no files were given",
+                hint,
+            ));
         };
         for other in &infos[1..] {
             check_fit(first, other)?;
         }
         let info = union(&infos)?;
-        let parts = infos.into_iter().map(|part| placed(part, &info.placement)).collect();
+        let parts = infos
+            .into_iter()
+            .map(|part| placed(part, &info.placement))
+            .collect();
         let counted = vec![false; info.height as usize];
         let overlaps = OverlapReport::default();
-        Ok(Self { info, options: options.clone(), parts, overlaps, counted })
+        Ok(Self {
+            info,
+            options: options.clone(),
+            parts,
+            overlaps,
+            counted,
+        })
     }
 
     /// What overlapping inputs said of the same samples, over the rows read so far.
@@ -84,7 +97,13 @@ impl Mosaic {
         rows: u32,
         out: &mut [f64],
     ) -> Result<(), DemError> {
-        let Self { info, options, parts, overlaps, counted } = self;
+        let Self {
+            info,
+            options,
+            parts,
+            overlaps,
+            counted,
+        } = self;
         let part = &mut parts[part];
         let top = part.row.max(first_row);
         let bottom = (part.row + part.info.height).min(first_row + rows);
@@ -151,7 +170,11 @@ fn reopen(info: &DemInfo, options: &OpenOptions) -> Result<Box<dyn DemSource>, D
         return Ok(source);
     }
     let what = "the file changed while it was being read";
-    Err(DemError::usage(&info.path, what, "start again when it is at rest"))
+    Err(DemError::usage(
+        &info.path,
+        what,
+        "start again when it is at rest",
+    ))
 }
 
 /// Refuses inputs that do not lie on one lattice.
@@ -163,18 +186,28 @@ fn check_fit(first: &DemInfo, other: &DemInfo) -> Result<(), DemError> {
         return Err(DemError::usage(&other.path, what, hint));
     }
     if first.crs != other.crs {
-        return Err(misfit(first, other, "the coordinate system", &first.crs, &other.crs));
+        return Err(misfit(
+            first,
+            other,
+            "the coordinate system",
+            &first.crs,
+            &other.crs,
+        ));
     }
     let cells = f64::from(other.width.max(other.height));
-    for (name, a, b) in [("the spacing", a.dx, b.dx), ("the spacing north", a.dy, b.dy)] {
+    for (name, a, b) in [
+        ("the spacing", a.dx, b.dx),
+        ("the spacing north", a.dy, b.dy),
+    ] {
         let relative = ((a - b) / a).abs();
         if relative > MAX_SPACING_DIFFERENCE || relative * cells > MAX_OFF_LATTICE {
             return Err(misfit(first, other, name, &a, &b));
         }
     }
-    for (name, a0, b0, step) in
-        [("the lattice east", a.x0, b.x0, a.dx), ("the lattice north", a.y0, b.y0, a.dy)]
-    {
+    for (name, a0, b0, step) in [
+        ("the lattice east", a.x0, b.x0, a.dx),
+        ("the lattice north", a.y0, b.y0, a.dy),
+    ] {
         let cells = (b0 - a0) / step;
         if (cells - cells.round()).abs() > MAX_OFF_LATTICE {
             return Err(misfit(first, other, name, &a0, &b0));
@@ -193,12 +226,15 @@ fn misfit(
     let (one, two) = (first.path.display(), other.path.display());
     let Placement { dx, dy, .. } = first.placement;
     let (Crs::Projected { name, .. } | Crs::Geographic { name, .. }) = &first.crs else {
-        return DemError::usage(&other.path, format!("it does not fit {one}"), "build it alone");
+        return DemError::usage(
+            &other.path,
+            format!("it does not fit {one}"),
+            "build it alone",
+        );
     };
     let what = format!("{what} is {b:?}, and {a:?} in {one}");
-    let command = format!(
-        "gdalwarp -t_srs '{name}' -tr {dx} {dy} -r bilinear '{two}' '{one}' merged.tif"
-    );
+    let command =
+        format!("gdalwarp -t_srs '{name}' -tr {dx} {dy} -r bilinear '{two}' '{one}' merged.tif");
     DemError::usage(&other.path, what, format!("merge them first: {command}"))
 }
 
@@ -206,7 +242,12 @@ fn misfit(
 fn union(infos: &[DemInfo]) -> Result<DemInfo, DemError> {
     let first = &infos[0];
     let Placement { x0, y0, dx, dy } = first.placement;
-    let mut box_cells = [f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY];
+    let mut box_cells = [
+        f64::INFINITY,
+        f64::INFINITY,
+        f64::NEG_INFINITY,
+        f64::NEG_INFINITY,
+    ];
     for info in infos {
         let west = ((info.placement.x0 - x0) / dx).round();
         let north = ((y0 - info.placement.y0) / dy).round();
@@ -220,11 +261,30 @@ fn union(infos: &[DemInfo]) -> Result<DemInfo, DemError> {
     let same = |other: &DemInfo| {
         (other.sample_type, other.height_step_m) == (first.sample_type, first.height_step_m)
     };
-    let sample_type = if infos.iter().all(same) { first.sample_type } else { SampleType::F64 };
-    let nodata = first.nodata.filter(|_| infos.iter().all(|info| info.nodata == first.nodata));
-    let placement = Placement { x0: x0 + west * dx, y0: y0 - north * dy, dx, dy };
+    let sample_type = if infos.iter().all(same) {
+        first.sample_type
+    } else {
+        SampleType::F64
+    };
+    let nodata = first
+        .nodata
+        .filter(|_| infos.iter().all(|info| info.nodata == first.nodata));
+    let placement = Placement {
+        x0: x0 + west * dx,
+        y0: y0 - north * dy,
+        dx,
+        dy,
+    };
     let format = "mosaic";
-    Ok(DemInfo { format, width, height, placement, sample_type, nodata, ..first.clone() })
+    Ok(DemInfo {
+        format,
+        width,
+        height,
+        placement,
+        sample_type,
+        nodata,
+        ..first.clone()
+    })
 }
 
 fn side(first: &DemInfo, cells: f64) -> Result<u32, DemError> {
@@ -233,13 +293,24 @@ fn side(first: &DemInfo, cells: f64) -> Result<u32, DemError> {
     }
     let what = "the mosaic that starts with it (are all inputs of one area?), on one side,";
     let found = cells as u64;
-    Err(DemError::limits(&first.path, what, found, u64::from(MAX_SIDE_SAMPLES), "samples"))
+    Err(DemError::limits(
+        &first.path,
+        what,
+        found,
+        u64::from(MAX_SIDE_SAMPLES),
+        "samples",
+    ))
 }
 
 fn placed(info: DemInfo, mosaic: &Placement) -> Part {
     let column = ((info.placement.x0 - mosaic.x0) / mosaic.dx).round() as u32;
     let row = ((mosaic.y0 - info.placement.y0) / mosaic.dy).round() as u32;
-    Part { info, column, row, source: None }
+    Part {
+        info,
+        column,
+        row,
+        source: None,
+    }
 }
 
 #[cfg(test)]

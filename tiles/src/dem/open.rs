@@ -24,7 +24,12 @@ pub fn open(path: &Path, options: &OpenOptions) -> Result<Box<dyn DemSource>, De
         [b'P', b'K', 3, 4, ..] | [b'P', b'K', 5, 6, ..] => Box::new(Hgt::open_zip(path, options)?),
         _ if hgt::looks_like(path, length) => Box::new(Hgt::open(path, options)?),
         [] => return Err(DemError::not_a_dem(path, "the file is empty")),
-        _ => return Err(DemError::not_a_dem(path, format!("it starts with {}", shown(&magic)))),
+        _ => {
+            return Err(DemError::not_a_dem(
+                path,
+                format!("it starts with {}", shown(&magic)),
+            ));
+        }
     })
 }
 
@@ -32,10 +37,7 @@ pub fn open(path: &Path, options: &OpenOptions) -> Result<Box<dyn DemSource>, De
 ///
 /// # Errors
 /// Those of [`open`], and [`DemError::Usage`] for inputs that do not fit together.
-pub fn open_all(
-    paths: &[PathBuf],
-    options: &OpenOptions,
-) -> Result<Box<dyn DemSource>, DemError> {
+pub fn open_all(paths: &[PathBuf], options: &OpenOptions) -> Result<Box<dyn DemSource>, DemError> {
     match paths {
         [one] => open(one, options),
         _ => Ok(Box::new(Mosaic::open(paths, options)?)),
@@ -55,7 +57,12 @@ pub(super) fn local_placement(options: &OpenOptions, path: &Path) -> Result<Plac
         let what = format!("a spacing of {spacing_m} m");
         return Err(DemError::usage(path, what, "give a length above 0 m"));
     }
-    Ok(Placement { x0: 0.0, y0: 0.0, dx: spacing_m, dy: spacing_m })
+    Ok(Placement {
+        x0: 0.0,
+        y0: 0.0,
+        dx: spacing_m,
+        dy: spacing_m,
+    })
 }
 
 fn first_bytes(path: &Path) -> Result<(Vec<u8>, u64), DemError> {
@@ -63,10 +70,16 @@ fn first_bytes(path: &Path) -> Result<(Vec<u8>, u64), DemError> {
     let file = File::open(path).map_err(failed("open"))?;
     let metadata = file.metadata().map_err(failed("ask the size"))?;
     if metadata.is_dir() {
-        return Err(DemError::usage(path, "it is a folder", "name the files in it"));
+        return Err(DemError::usage(
+            path,
+            "it is a folder",
+            "name the files in it",
+        ));
     }
     let mut magic = Vec::new();
-    file.take(8).read_to_end(&mut magic).map_err(failed("read"))?;
+    file.take(8)
+        .read_to_end(&mut magic)
+        .map_err(failed("read"))?;
     Ok((magic, metadata.len()))
 }
 
@@ -82,7 +95,9 @@ mod tests {
     fn error(name: &str, bytes: &[u8]) -> DemError {
         let folder = Folder::new();
         let path = folder.write(name, bytes);
-        open(&path, &OpenOptions::default()).err().expect("an error")
+        open(&path, &OpenOptions::default())
+            .err()
+            .expect("an error")
     }
 
     #[test]
@@ -101,7 +116,10 @@ mod tests {
     fn a_folder_and_a_missing_file_are_told_apart() {
         let folder = Folder::new();
         let options = OpenOptions::default();
-        assert!(matches!(open(folder.path(), &options), Err(DemError::Usage { .. })));
+        assert!(matches!(
+            open(folder.path(), &options),
+            Err(DemError::Usage { .. })
+        ));
         let missing = folder.path().join("none.tif");
         assert!(matches!(open(&missing, &options), Err(DemError::Io { .. })));
     }

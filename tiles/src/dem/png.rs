@@ -58,7 +58,11 @@ impl Png {
             let what = "the decoded PNG (gdal_translate makes a GeoTIFF of it)";
             return Err(DemError::limits(path, what, bytes, MAX_PNG_BYTES, "bytes"));
         }
-        Ok(Self { info, rule, samples: None })
+        Ok(Self {
+            info,
+            rule,
+            samples: None,
+        })
     }
 
     fn decode(&self) -> Result<Vec<u8>, DemError> {
@@ -67,8 +71,7 @@ impl Png {
         let mut limits = Limits::default();
         limits.max_alloc = Some(MAX_PNG_BYTES);
         let failed = |error| explain(error, path);
-        let decoder =
-            PngDecoder::with_limits(BufReader::new(file), limits).map_err(failed)?;
+        let decoder = PngDecoder::with_limits(BufReader::new(file), limits).map_err(failed)?;
         if !matches!(decoder.color_type(), ColorType::L8 | ColorType::L16) {
             // A greyscale file may still declare one grey transparent.
             let hint = format!("convert it: gdal_translate -of GTiff {}", in_and_out(path));
@@ -77,7 +80,12 @@ impl Png {
         let bytes = decoded_bytes(&self.info);
         if decoder.total_bytes() != bytes {
             let found = format!("{} bytes of samples", decoder.total_bytes());
-            return Err(DemError::damaged(path, "the PNG header", found, format!("{bytes}")));
+            return Err(DemError::damaged(
+                path,
+                "the PNG header",
+                found,
+                format!("{bytes}"),
+            ));
         }
         let mut samples = vec![0; bytes as usize];
         decoder.read_image(&mut samples).map_err(failed)?;
@@ -116,15 +124,57 @@ fn decoded_bytes(info: &DemInfo) -> u64 {
 fn header(path: &Path) -> Result<Header, DemError> {
     let mut bytes = Vec::new();
     let file = File::open(path).map_err(|e| DemError::io(path, "open", e))?;
-    file.take(26).read_to_end(&mut bytes).map_err(|e| DemError::io(path, "read", e))?;
+    file.take(26)
+        .read_to_end(&mut bytes)
+        .map_err(|e| DemError::io(path, "read", e))?;
     match bytes[..] {
-        [_, _, _, _, _, _, _, _, _, _, _, _, b'I', b'H', b'D', b'R', a, b, c, d, e, f, g, h, bits, colour] => {
-            let (width, height) = (u32::from_be_bytes([a, b, c, d]), u32::from_be_bytes([e, f, g, h]));
-            Ok(Header { width, height, bits, colour })
+        [
+            _,
+            _,
+            _,
+            _,
+            _,
+            _,
+            _,
+            _,
+            _,
+            _,
+            _,
+            _,
+            b'I',
+            b'H',
+            b'D',
+            b'R',
+            a,
+            b,
+            c,
+            d,
+            e,
+            f,
+            g,
+            h,
+            bits,
+            colour,
+        ] => {
+            let (width, height) = (
+                u32::from_be_bytes([a, b, c, d]),
+                u32::from_be_bytes([e, f, g, h]),
+            );
+            Ok(Header {
+                width,
+                height,
+                bits,
+                colour,
+            })
         }
         _ => {
             let found = format!("{} bytes that are no header", bytes.len());
-            Err(DemError::damaged(path, "the PNG header", found, "an IHDR chunk"))
+            Err(DemError::damaged(
+                path,
+                "the PNG header",
+                found,
+                "an IHDR chunk",
+            ))
         }
     }
 }
@@ -153,9 +203,12 @@ fn explain(error: ImageError, path: &Path) -> DemError {
         ImageError::IoError(e) if e.kind() != std::io::ErrorKind::UnexpectedEof => {
             DemError::io(path, "read", e)
         }
-        ImageError::Limits(e) => {
-            DemError::damaged(path, "the PNG data", e.to_string(), "at most 512 MiB decoded")
-        }
+        ImageError::Limits(e) => DemError::damaged(
+            path,
+            "the PNG data",
+            e.to_string(),
+            "at most 512 MiB decoded",
+        ),
         other => DemError::damaged(path, "the PNG data", other.to_string(), expected),
     }
 }
@@ -167,18 +220,34 @@ mod tests {
     use super::*;
 
     fn spaced() -> OpenOptions {
-        OpenOptions { spacing_m: Some(160.0), height_step_m: Some(0.1), ..OpenOptions::default() }
+        OpenOptions {
+            spacing_m: Some(160.0),
+            height_step_m: Some(0.1),
+            ..OpenOptions::default()
+        }
     }
 
     #[test]
     fn grey_levels_become_metres_by_step_and_offset() {
         let folder = Folder::new();
-        let sixteen = folder.write("a.png", &png_bytes(3, 2, true, |r, c| (r * 1000 + c) as u16));
-        let eight = folder.write("b.png", &png_bytes(3, 2, false, |r, c| (r * 100 + c) as u16));
-        let options = OpenOptions { height_offset_m: Some(5.0), ..spaced() };
+        let sixteen = folder.write(
+            "a.png",
+            &png_bytes(3, 2, true, |r, c| (r * 1000 + c) as u16),
+        );
+        let eight = folder.write(
+            "b.png",
+            &png_bytes(3, 2, false, |r, c| (r * 100 + c) as u16),
+        );
+        let options = OpenOptions {
+            height_offset_m: Some(5.0),
+            ..spaced()
+        };
         for (path, south) in [(sixteen, 1002.0), (eight, 102.0)] {
             let mut dem = open(&path, &options).unwrap();
-            assert_eq!((dem.info().placement.dx, dem.info().crs.clone()), (160.0, Crs::Local));
+            assert_eq!(
+                (dem.info().placement.dx, dem.info().crs.clone()),
+                (160.0, Crs::Local)
+            );
             let mut rows = vec![0.0; 6];
             dem.read_rows(0, 2, &mut rows).unwrap();
             assert_eq!(rows[0], 5.0);
@@ -212,7 +281,10 @@ mod tests {
         let mut bytes = png_bytes(5, 4, true, |_, _| 0);
         bytes[16..24].copy_from_slice(&[0, 0x3f, 0xff, 0xff, 0, 0x3f, 0xff, 0xff]);
         let path = folder.write("a.png", &bytes);
-        assert!(matches!(open(&path, &spaced()), Err(DemError::Limits { .. })));
+        assert!(matches!(
+            open(&path, &spaced()),
+            Err(DemError::Limits { .. })
+        ));
     }
 
     #[test]
@@ -221,6 +293,9 @@ mod tests {
         let mut bytes = png_bytes(5, 4, false, |_, _| 0);
         bytes[25] = 2;
         let path = folder.write("a.png", &bytes);
-        assert!(matches!(open(&path, &spaced()), Err(DemError::Unsupported { .. })));
+        assert!(matches!(
+            open(&path, &spaced()),
+            Err(DemError::Unsupported { .. })
+        ));
     }
 }

@@ -35,12 +35,16 @@ pub fn real_data() -> Option<PathBuf> {
 
 pub fn hgt_bytes(side: u16, height: impl Fn(u16, u16) -> i16) -> Vec<u8> {
     let at = |row| (0..side).map(move |column| (row, column));
-    (0..side).flat_map(at).flat_map(|(r, c)| height(r, c).to_be_bytes()).collect()
+    (0..side)
+        .flat_map(at)
+        .flat_map(|(r, c)| height(r, c).to_be_bytes())
+        .collect()
 }
 
 pub fn zip_bytes(name: &str, content: &[u8]) -> Vec<u8> {
     let mut zip = zip::ZipWriter::new(Cursor::new(Vec::new()));
-    zip.start_file(name, zip::write::SimpleFileOptions::default()).unwrap();
+    zip.start_file(name, zip::write::SimpleFileOptions::default())
+        .unwrap();
     zip.write_all(content).unwrap();
     zip.finish().unwrap().into_inner()
 }
@@ -53,14 +57,21 @@ pub fn png_bytes(
 ) -> Vec<u8> {
     use image::codecs::png::PngEncoder;
     use image::{ExtendedColorType, ImageEncoder};
-    let greys = (0..height).flat_map(|r| (0..width).map(move |c| (r, c))).map(|(r, c)| grey(r, c));
+    let greys = (0..height)
+        .flat_map(|r| (0..width).map(move |c| (r, c)))
+        .map(|(r, c)| grey(r, c));
     let (samples, colour): (Vec<u8>, _) = if sixteen {
-        (greys.flat_map(u16::to_ne_bytes).collect(), ExtendedColorType::L16)
+        (
+            greys.flat_map(u16::to_ne_bytes).collect(),
+            ExtendedColorType::L16,
+        )
     } else {
         (greys.map(|g| g as u8).collect(), ExtendedColorType::L8)
     };
     let mut bytes = Vec::new();
-    PngEncoder::new(&mut bytes).write_image(&samples, width, height, colour).unwrap();
+    PngEncoder::new(&mut bytes)
+        .write_image(&samples, width, height, colour)
+        .unwrap();
     bytes
 }
 
@@ -94,7 +105,9 @@ impl Tiff {
     /// Strips, not compressed, little-endian, UTM 32N, north-west corner or sample at
     /// (500000, 5000000), steps 10 east and 20 south.
     pub fn plain(width: u32, height: u32, sample: SampleType) -> Self {
-        let keys = vec![1, 1, 0, 3, 1024, 0, 1, 1, 3072, 0, 1, 32632, 3076, 0, 1, 9001];
+        let keys = vec![
+            1, 1, 0, 3, 1024, 0, 1, 1, 3072, 0, 1, 32632, 3076, 0, 1, 9001,
+        ];
         let tags = vec![
             (33550, Tag::Double(vec![10.0, 20.0, 0.0])),
             (33922, Tag::Double(vec![0.0, 0.0, 0.0, 5e5, 5e6, 0.0])),
@@ -143,7 +156,11 @@ impl Tiff {
         let field = if self.big { 8 } else { 4 };
         let mut file = self.header();
         let count = tags.len();
-        file.extend(if self.big { self.long8(count as u64) } else { self.short(count as u16) });
+        file.extend(if self.big {
+            self.long8(count as u64)
+        } else {
+            self.short(count as u16)
+        });
         let values_at = file.len() + count * (4 + 2 * field) + field;
         let mut values = Vec::new();
         for (tag, value) in &tags {
@@ -165,7 +182,14 @@ impl Tiff {
     fn header(&self) -> Vec<u8> {
         let order = if self.big_endian { b"MM" } else { b"II" };
         if self.big {
-            [&order[..], &self.short(43), &self.short(8), &self.short(0), &self.field(16)].concat()
+            [
+                &order[..],
+                &self.short(43),
+                &self.short(8),
+                &self.short(0),
+                &self.field(16),
+            ]
+            .concat()
         } else {
             [&order[..], &self.short(42), &self.field(8)].concat()
         }
@@ -180,7 +204,13 @@ impl Tiff {
         let one = |value: u32| Tag::Long(vec![value]);
         let code = |value: u16| Tag::Short(vec![value]);
         let counts: Vec<u32> = chunks.iter().map(|c| c.len() as u32).collect();
-        let start = |i: usize| if counts[i] == 0 { 0 } else { data_at + counts[..i].iter().sum::<u32>() };
+        let start = |i: usize| {
+            if counts[i] == 0 {
+                0
+            } else {
+                data_at + counts[..i].iter().sum::<u32>()
+            }
+        };
         let offsets = (0..counts.len()).map(start).collect();
         let mut tags = vec![
             (256, one(self.width)),
@@ -214,15 +244,28 @@ impl Tiff {
         let (across, down) = self.tile.unwrap_or((self.width, 3));
         let mut chunks = Vec::new();
         for top in (0..self.height).step_by(down as usize) {
-            let rows = if self.tile.is_some() { down } else { down.min(self.height - top) };
+            let rows = if self.tile.is_some() {
+                down
+            } else {
+                down.min(self.height - top)
+            };
             for left in (0..self.width).step_by(across as usize) {
                 let row = |row: u32| {
-                    let at = |c: u32| height((top + row).min(self.height - 1), (left + c).min(self.width - 1));
+                    let at = |c: u32| {
+                        height(
+                            (top + row).min(self.height - 1),
+                            (left + c).min(self.width - 1),
+                        )
+                    };
                     self.row(&(0..across).map(at).collect::<Vec<_>>())
                 };
                 let raw: Vec<u8> = (0..rows).flat_map(row).collect();
                 let skip = self.sparse == Some(chunks.len());
-                chunks.push(if skip { Vec::new() } else { self.compress(&raw) });
+                chunks.push(if skip {
+                    Vec::new()
+                } else {
+                    self.compress(&raw)
+                });
             }
         }
         chunks
@@ -239,7 +282,11 @@ impl Tiff {
         let mut out = Vec::new();
         for height in heights {
             let bits = self.bits(*height);
-            let stored = if self.predictor == 2 { bits.wrapping_sub(last) } else { bits };
+            let stored = if self.predictor == 2 {
+                bits.wrapping_sub(last)
+            } else {
+                bits
+            };
             last = bits;
             let len = self.sample.bytes() as usize;
             let bytes = stored.to_le_bytes();
@@ -271,13 +318,21 @@ impl Tiff {
         match value {
             Tag::Short(v) => (3, v.len(), v.iter().flat_map(|v| self.short(*v)).collect()),
             Tag::Long(v) => (4, v.len(), v.iter().flat_map(|v| self.long(*v)).collect()),
-            Tag::Double(v) => (12, v.len(), v.iter().flat_map(|v| self.long8(v.to_bits())).collect()),
+            Tag::Double(v) => (
+                12,
+                v.len(),
+                v.iter().flat_map(|v| self.long8(v.to_bits())).collect(),
+            ),
             Tag::Text(v) => (2, v.len() + 1, [v.as_bytes(), &[0]].concat()),
         }
     }
 
     fn field(&self, value: usize) -> Vec<u8> {
-        if self.big { self.long8(value as u64) } else { self.long(value as u32) }
+        if self.big {
+            self.long8(value as u64)
+        } else {
+            self.long(value as u32)
+        }
     }
 
     fn short(&self, value: u16) -> Vec<u8> {

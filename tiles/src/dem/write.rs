@@ -29,19 +29,39 @@ const USER_DEFINED: u16 = 32767;
 pub fn write_geotiff(path: &Path, source: &mut dyn DemSource) -> Result<(), DemError> {
     let info = source.info();
     let raw_bytes = u64::from(info.width) * u64::from(info.height) * 4;
-    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let folder = path
+        .parent()
+        .filter(|p| !p.as_os_str().is_empty())
+        .unwrap_or(Path::new("."));
     let failed = |doing| move |error| DemError::io(path, doing, error);
-    let file = NamedTempFile::new_in(folder).map_err(failed("create"))?;
+    let file = temporary(folder).map_err(failed("create"))?;
     let mut out = BufWriter::new(file);
     if raw_bytes < CLASSIC_BYTES {
         write::<_, TiffKindStandard>(&mut out, source, path)?;
     } else {
         write::<_, TiffKindBig>(&mut out, source, path)?;
     }
-    let file = out.into_inner().map_err(|e| DemError::io(path, "write", e.into_error()))?;
+    let file = out
+        .into_inner()
+        .map_err(|e| DemError::io(path, "write", e.into_error()))?;
     file.as_file().sync_all().map_err(failed("sync"))?;
-    file.persist(path).map_err(|e| DemError::io(path, "rename", e.error))?;
+    file.persist(path)
+        .map_err(|e| DemError::io(path, "rename", e.error))?;
     Ok(())
+}
+
+/// A file beside the final one, which everyone may read that may read a usual new file.
+fn temporary(folder: &Path) -> std::io::Result<NamedTempFile> {
+    let mut builder = tempfile::Builder::new();
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt;
+        builder.permissions(std::fs::Permissions::from_mode(0o666));
+    }
+    builder
+        .prefix(".escarp-")
+        .suffix(".tif")
+        .tempfile_in(folder)
 }
 
 fn write<W: Write + Seek, K: TiffKind>(
@@ -85,7 +105,9 @@ fn tile_row(
             predict(&(0..TILE).map(column).collect::<Vec<_>>(), &mut raw);
         }
         let mut packed = Vec::new();
-        Deflate::with_level(DeflateLevel::Balanced).write_to(&mut packed, &raw).map(|_| packed)
+        Deflate::with_level(DeflateLevel::Fast)
+            .write_to(&mut packed, &raw)
+            .map(|_| packed)
     };
     let lefts: Vec<u32> = (0..width).step_by(TILE as usize).collect();
     let tiles: Result<_, std::io::Error> = lefts.into_par_iter().map(compress).collect();
@@ -148,20 +170,36 @@ fn write_place<W: Write + Seek, K: TiffKind>(
 
 /// Key directory, doubles and citation, sorted by key as the standard demands.
 fn geo_keys(info: &DemInfo) -> (Vec<u16>, Vec<f64>, String) {
-    let raster_type = if info.registration == Registration::Grid { 2 } else { 1 };
+    let raster_type = if info.registration == Registration::Grid {
+        2
+    } else {
+        1
+    };
     let (name, geographic, number) = match &info.crs {
-        Crs::Projected { name, metres_per_unit } => (name, false, *metres_per_unit),
+        Crs::Projected {
+            name,
+            metres_per_unit,
+        } => (name, false, *metres_per_unit),
         Crs::Geographic { name, radius_m } => (name, true, *radius_m),
         Crs::Local => return Default::default(),
     };
-    let code = name.strip_prefix("EPSG:").and_then(|code| code.parse().ok());
+    let code = name
+        .strip_prefix("EPSG:")
+        .and_then(|code| code.parse().ok());
     let code: u16 = code.unwrap_or(USER_DEFINED);
-    let citation = format!("{}|", name.replace(|c: char| !c.is_ascii() || c == '|', "?"));
+    let citation = format!(
+        "{}|",
+        name.replace(|c: char| !c.is_ascii() || c == '|', "?")
+    );
     let length = citation.len() as u16;
     let mut keys = vec![[1025, 0, 1, raster_type]];
     if geographic {
         keys.insert(0, [1024, 0, 1, 2]);
-        keys.extend([[2048, 0, 1, code], [2049, 34737, length, 0], [2054, 0, 1, 9102]]);
+        keys.extend([
+            [2048, 0, 1, code],
+            [2049, 34737, length, 0],
+            [2054, 0, 1, 9102],
+        ]);
         if code == USER_DEFINED {
             keys.extend([[2050, 0, 1, code], [2056, 0, 1, code], [2058, 34736, 1, 0]]);
         }
@@ -184,7 +222,10 @@ fn write_offsets<W: Write + Seek, K: TiffKind>(
     values: &[u64],
 ) -> Result<(), TiffError> {
     let values = values.iter().map(|value| K::convert_offset(*value));
-    directory.write_tag(tag, K::convert_slice(&values.collect::<Result<Vec<_>, _>>()?))
+    directory.write_tag(
+        tag,
+        K::convert_slice(&values.collect::<Result<Vec<_>, _>>()?),
+    )
 }
 
 fn tiff_failed(error: TiffError, path: &Path) -> DemError {

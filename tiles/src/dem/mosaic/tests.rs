@@ -48,27 +48,52 @@ fn tiles_with_shared_edges_and_a_missing_one_become_one_ramp_with_a_hole() {
     }
     let report = dem.overlaps().unwrap();
     // Two edges of 4 samples, counted once however often they are read.
-    assert_eq!(report, OverlapReport { overlapping: 8, differing: 0, largest_m: 0.0 });
+    assert_eq!(
+        report,
+        OverlapReport {
+            overlapping: 8,
+            differing: 0,
+            largest_m: 0.0
+        }
+    );
 }
 
 #[test]
 fn the_earlier_input_wins_but_a_hole_never_does() {
     let folder = Folder::new();
-    let first = tile(&folder, 0, 0, |r, c| if (r, c) == (0, 3) { -9999.0 } else { 1.0 });
+    let first = tile(
+        &folder,
+        0,
+        0,
+        |r, c| if (r, c) == (0, 3) { -9999.0 } else { 1.0 },
+    );
     let second = tile(&folder, 3, 0, |_, _| 4.0);
     let mut dem = open_all(&[first, second], &OpenOptions::default()).unwrap();
     let heights = read_all(dem.as_mut(), 2);
     assert_eq!(heights[..7], [1.0, 1.0, 1.0, 4.0, 4.0, 4.0, 4.0]);
     assert_eq!(heights[7..14], [1.0, 1.0, 1.0, 1.0, 4.0, 4.0, 4.0]);
     let report = dem.overlaps().unwrap();
-    assert_eq!(report, OverlapReport { overlapping: 3, differing: 3, largest_m: 3.0 });
+    assert_eq!(
+        report,
+        OverlapReport {
+            overlapping: 3,
+            differing: 3,
+            largest_m: 3.0
+        }
+    );
 }
 
 #[test]
 fn srtm_tiles_meet_at_their_shared_edge() {
     let folder = Folder::new();
-    let (west, east) = (hgt_bytes(1201, |_, c| c as i16), hgt_bytes(1201, |_, c| c as i16 + 1200));
-    let paths = [folder.write("N10E020.hgt", &west), folder.write("N10E021.hgt", &east)];
+    let (west, east) = (
+        hgt_bytes(1201, |_, c| c as i16),
+        hgt_bytes(1201, |_, c| c as i16 + 1200),
+    );
+    let paths = [
+        folder.write("N10E020.hgt", &west),
+        folder.write("N10E021.hgt", &east),
+    ];
     let mut dem = open_all(&paths, &OpenOptions::default()).unwrap();
     assert_eq!((dem.info().width, dem.info().height), (2401, 1201));
     let mut row = vec![0.0; 2401];
@@ -86,13 +111,21 @@ fn inputs_that_do_not_fit_name_both_files_and_the_command() {
     let coarser = plain().with(33550, Tag::Double(vec![10.1, 20.0, 0.0]));
     let keys = vec![1, 1, 0, 2, 1024, 0, 1, 1, 3072, 0, 1, 32633];
     let other_crs = plain().with(34735, Tag::Short(keys));
-    for (name, tiff) in [("off.tif", off_lattice), ("coarse.tif", coarser), ("zone.tif", other_crs)]
-    {
+    for (name, tiff) in [
+        ("off.tif", off_lattice),
+        ("coarse.tif", coarser),
+        ("zone.tif", other_crs),
+    ] {
         let other = folder.write(name, &tiff.bytes(|_, _| 0.0));
-        let error = Mosaic::open(&[base.clone(), other], &OpenOptions::default()).err().unwrap();
+        let error = Mosaic::open(&[base.clone(), other], &OpenOptions::default())
+            .err()
+            .unwrap();
         let text = error.to_string();
         assert!(matches!(error, DemError::Usage { .. }));
-        assert!(text.contains(name) && text.contains("0_0.tif") && text.contains("gdalwarp"), "{text}");
+        assert!(
+            text.contains(name) && text.contains("0_0.tif") && text.contains("gdalwarp"),
+            "{text}"
+        );
     }
 }
 
@@ -101,7 +134,9 @@ fn inputs_far_apart_are_refused_by_the_limit() {
     let folder = Folder::new();
     let far = |x, name| {
         let tag = Tag::Double(vec![0.0, 0.0, 0.0, x, 5e6, 0.0]);
-        let bytes = Tiff::plain(4, 4, SampleType::I16).with(33922, tag).bytes(|_, _| 0.0);
+        let bytes = Tiff::plain(4, 4, SampleType::I16)
+            .with(33922, tag)
+            .bytes(|_, _| 0.0);
         folder.write(name, &bytes)
     };
     let paths = [far(0.0, "a.tif"), far(1e9, "b.tif")];
@@ -122,7 +157,13 @@ fn forty_real_tiles_hold_few_open() {
         let rows = 64.min(4801 - first);
         let mut out = vec![0.0; rows as usize * 13201];
         dem.read_rows(first, rows, &mut out).unwrap();
-        assert!(dem.parts.iter().filter(|part| part.source.is_some()).count() <= 22);
+        assert!(
+            dem.parts
+                .iter()
+                .filter(|part| part.source.is_some())
+                .count()
+                <= 22
+        );
         low = out.iter().copied().fold(low, f64::min);
         high = out.iter().copied().fold(high, f64::max);
     }
