@@ -87,7 +87,10 @@ impl FlyCamera {
         if way.truncate() != DVec2::ZERO {
             self.yaw = way.x.atan2(way.y);
         }
-        self.pitch = way.z.atan2(way.truncate().length()).clamp(-STEEPEST, STEEPEST);
+        self.pitch = way
+            .z
+            .atan2(way.truncate().length())
+            .clamp(-STEEPEST, STEEPEST);
     }
 
     /// Unit vector along the line of sight.
@@ -124,7 +127,8 @@ impl FlyCamera {
         let dt = dt_s.clamp(0.0, LONGEST_STEP_S);
         let speed = self.speed_m_s(above_ground_m) * if controls.hurry { HURRY } else { 1.0 };
         let right = DVec3::new(self.yaw.cos(), -self.yaw.sin(), 0.0);
-        let way = self.direction() * controls.forward + right * controls.right + DVec3::Z * controls.up;
+        let way =
+            self.direction() * controls.forward + right * controls.right + DVec3::Z * controls.up;
         let wanted = way.clamp_length_max(1.0) * speed;
         self.velocity_m_s += (wanted - self.velocity_m_s) * (1.0 - (-dt / EASE_S).exp());
         if way == DVec3::ZERO && self.velocity_m_s.length() < speed * 1e-3 {
@@ -222,7 +226,10 @@ mod tests {
     fn it_flies_where_it_looks_and_stops_when_let_go() {
         let mut camera = camera();
         camera.turn(std::f64::consts::FRAC_PI_2, 0.0);
-        let ahead = Controls { forward: 1.0, ..Default::default() };
+        let ahead = Controls {
+            forward: 1.0,
+            ..Default::default()
+        };
         for _ in 0..100 {
             camera.step(&ahead, 100.0, 0.02);
         }
@@ -245,7 +252,11 @@ mod tests {
         assert_eq!(camera.speed_m_s(1000.0), slow * 10.0);
         camera.change_pace(1.0);
         assert_eq!(camera.speed_m_s(100.0), slow * NOTCH);
-        let both = Controls { forward: 1.0, right: 1.0, ..Default::default() };
+        let both = Controls {
+            forward: 1.0,
+            right: 1.0,
+            ..Default::default()
+        };
         (0..100).for_each(|_| camera.step(&both, 100.0, 0.05));
         assert!(camera.velocity_m_s.length() <= slow * NOTCH * 1.0001);
     }
@@ -256,7 +267,10 @@ mod tests {
         camera.turn(0.0, -10.0);
         assert!(camera.direction().z > -1.0 && camera.direction().truncate().length() > 1e-3);
         let before = camera.eye_m;
-        let down = Controls { up: -1.0, ..Default::default() };
+        let down = Controls {
+            up: -1.0,
+            ..Default::default()
+        };
         camera.step(&down, 100.0, 3600.0);
         assert!((camera.eye_m - before).length() < 100.0);
     }
@@ -265,12 +279,20 @@ mod tests {
     fn its_view_is_allowed() {
         let view = camera().view([1280, 720], 2.0);
         assert_eq!(view.check(), Ok(()));
-        assert_eq!(look_at([1.0; 3], [1.0; 3], 1.0, [4, 3], 2.0).check(), Ok(()));
+        assert_eq!(
+            look_at([1.0; 3], [1.0; 3], 1.0, [4, 3], 2.0).check(),
+            Ok(())
+        );
     }
 
     #[test]
     fn an_overview_holds_all_corners_and_fills_the_picture() {
-        for (side, heights) in [(1e3, [0, 100]), (2e6, [-400, 9000]), (3e4, [100, 100]), (1e3, [0, 9000])] {
+        for (side, heights) in [
+            (1e3, [0, 100]),
+            (2e6, [-400, 9000]),
+            (3e4, [100, 100]),
+            (1e3, [0, 9000]),
+        ] {
             for aspect in [0.5, 1.0, 16.0 / 9.0] {
                 let manifest = manifest(side, heights);
                 let (eye, look) = overview(&manifest, DEFAULT_FOV_Y, aspect);
@@ -282,10 +304,15 @@ mod tests {
                     let from = corner - eye;
                     let depth = forward.dot(from) * half;
                     assert!(depth > 0.0);
-                    (from.x / depth / aspect).abs().max((up.dot(from) / depth).abs())
+                    (from.x / depth / aspect)
+                        .abs()
+                        .max((up.dot(from) / depth).abs())
                 });
                 let widest = reach.into_iter().fold(0.0, f64::max);
-                assert!((0.9..=0.96).contains(&widest), "{side} {heights:?} {aspect}: {widest}");
+                assert!(
+                    (0.9..=0.96).contains(&widest),
+                    "{side} {heights:?} {aspect}: {widest}"
+                );
                 assert!(eye.z > f64::from(heights[1]));
             }
         }

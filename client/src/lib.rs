@@ -2,6 +2,8 @@
 
 pub mod mesh;
 
+pub mod terrain;
+
 pub mod link;
 
 pub mod net;
@@ -13,3 +15,7 @@ pub mod flight;
 pub mod render;
 
 pub mod app;
+
+pub mod remote;
+
+pub mod cli;

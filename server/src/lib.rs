@@ -24,6 +24,8 @@ mod stall;
 
 mod serve;
 
+pub mod cli;
+
 #[cfg(test)]
 mod tests;
 

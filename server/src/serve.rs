@@ -6,8 +6,8 @@ use crate::limits::{HEADER_BYTES, Limits};
 use crate::socket::{Phase, Sessions};
 use crate::stall::StallGuard;
 use axum::Router;
-use hyper_util::rt::{TokioExecutor, TokioIo, TokioTimer};
-use hyper_util::server::conn::auto::Builder;
+use hyper::server::conn::http1::Builder;
+use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
 use std::io;
 use std::sync::Arc;
@@ -100,9 +100,8 @@ impl Connections {
             // Frames are small, and each is wanted at once. On failure it is only slower.
             let _ = stream.set_nodelay(true);
             let stream = TokioIo::new(StallGuard::new(stream, limits.send_timeout));
-            let builder = builder(&limits);
             let service = TowerToHyperService::new(router);
-            let served = builder.serve_connection_with_upgrades(stream, service);
+            let served = builder(&limits).serve_connection(stream, service).with_upgrades();
             tokio::pin!(served);
             let result = tokio::select! {
                 result = &mut served => result,
@@ -112,7 +111,7 @@ impl Connections {
                 }
             };
             if let Err(error) = result {
-                tracing::debug!(error, "connection ended");
+                tracing::debug!(%error, "connection ended");
             }
         }
     }
@@ -135,11 +134,11 @@ async fn draining(phase: &mut watch::Receiver<Phase>) {
     let _ = phase.wait_for(|phase| *phase != Phase::Serving).await;
 }
 
-/// HTTP/1 only: telling the versions apart waits for a first byte without any time limit.
-fn builder(limits: &Limits) -> Builder<TokioExecutor> {
-    let mut builder = Builder::new(TokioExecutor::new()).http1_only();
+/// HTTP/1 only: hyper-util's way to tell the versions apart waits for the first bytes without any
+/// time limit.
+fn builder(limits: &Limits) -> Builder {
+    let mut builder = Builder::new();
     builder
-        .http1()
         .timer(TokioTimer::new())
         .header_read_timeout(limits.hello_timeout)
         .max_buf_size(HEADER_BYTES);

@@ -36,7 +36,9 @@ impl GroundProbe {
         let stride = f64::from(mesh.stride);
         let place = [0, 1].map(|axis| (self.grid[axis] - f64::from(mesh.origin[axis])) / stride);
         let triangles = mesh.indices.chunks_exact(3);
-        let quanta = triangles.filter_map(|t| height_in(mesh, [t[0], t[1], t[2]], place)).next();
+        let quanta = triangles
+            .filter_map(|t| height_in(mesh, [t[0], t[1], t[2]], place))
+            .next();
         self.height_m = quanta.map(|quanta| quanta * self.quantum_m);
     }
 
@@ -78,12 +80,18 @@ mod tests {
             quantum_m: 0.5,
             plane: Plane::Local,
         };
-        let vertex = |k: i32| Vertex { height: 10 * (k % 17) + 3 * (k / 17), normal: [0; 4] };
+        let vertex = |k: i32| Vertex {
+            height: 10 * (k % 17) + 3 * (k / 17),
+            normal: [0; 4],
+        };
         let mesh = PageMesh {
             id: PageId::ROOT,
             origin: [0, 0],
             stride: 4,
-            bounds: WorldBox { min: [100.0, 200.0, 0.0], max: [228.0, 328.0, 1e3] },
+            bounds: WorldBox {
+                min: [100.0, 200.0, 0.0],
+                max: [228.0, 328.0, 1e3],
+            },
             vertices: (0..289).map(vertex).collect(),
             vertex_stamp: 1,
             indices: vec![0, 16, 288, 0, 288, 272],

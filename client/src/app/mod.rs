@@ -1,6 +1,8 @@
 //! Programs over a terrain client: what they need of one, and the viewer.
 
+pub mod fake;
 mod ground;
+pub mod headless;
 pub mod viewer;
 
 use crate::mesh::PageMesh;

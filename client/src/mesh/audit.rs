@@ -12,8 +12,9 @@ pub struct VertexFlags {
     pub sample: u16,
     /// Part of the mesh.
     pub enabled: bool,
-    /// A triangle of this page asks for it.
-    pub asked: bool,
+    /// Which triangles of this page ask for it: bit 0 for the square to its west or south, or for
+    /// its own square if it is a centre; bit 1 for the square to its east or north.
+    pub asked: u8,
     /// Enabled vertices that depend on it on this page's side.
     pub dependents: u8,
 }
@@ -33,7 +34,7 @@ impl MeshTree {
         let mut flags = Vec::new();
         for node in self.nodes.iter().flatten() {
             for (sample, state) in node.vertices.iter().enumerate() {
-                if state.enabled || state.asked || state.dependents > 0 {
+                if state.enabled || state.asked != 0 || state.dependents > 0 {
                     flags.push(VertexFlags {
                         page: node.page.id(),
                         sample: sample as u16,

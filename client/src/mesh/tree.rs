@@ -64,8 +64,6 @@ pub struct MeshTree {
     free: Vec<Index>,
     pub(super) by_id: HashMap<PageId, Index>,
     pub(super) wishes: Wishes,
-    /// Centres that were enabled in this update and may not have been visited.
-    pub(super) fresh: Vec<(Index, u16)>,
     pub(super) updates: u64,
     pub(super) changes: u64,
     pub(super) stamps: u64,
@@ -81,7 +79,6 @@ impl MeshTree {
             free: Vec::new(),
             by_id: HashMap::new(),
             wishes: Wishes::default(),
-            fresh: Vec::new(),
             updates: 0,
             changes: 0,
             stamps: 0,

@@ -3,6 +3,7 @@
 use super::frustum::Frustum;
 use super::place::PageSquare;
 use super::tree::{Index, MeshTree, Node};
+use super::vertices::Asker;
 use escarp_proto::geometry::{Edge, PageId, Quadrant, Slot};
 use escarp_proto::georef::WorldBox;
 use escarp_proto::page::{Page, Range};
@@ -75,14 +76,8 @@ impl MeshTree {
         };
         self.enable_root(root);
         self.visit(pass, root, PageSquare::ROOT);
-        // Squares that were enabled for others' sake after their parents had been visited.
-        while let Some((index, sample)) = self.fresh.pop() {
-            if let super::place::Role::Centre(square) = super::place::role(sample as usize)
-                && self.is_enabled((index, sample))
-            {
-                self.visit(pass, index, square);
-            }
-        }
+        // Squares that are enabled for others' sake need no visit in this update: errors and boxes
+        // are nested, so no test of theirs can fail where the test above them has passed.
     }
 
     /// Links pages below flat and empty cells. Whether there were any.
@@ -124,7 +119,7 @@ impl MeshTree {
                 self.wishes.in_view = pass.frustum.may_see(&region);
                 self.wishes.blocked = false;
             }
-            self.ask(vertex, fails, excess);
+            self.ask(vertex, edge.into(), fails, excess);
             if !self.is_enabled(vertex) {
                 pass.stands(excess, &region);
             }
@@ -159,7 +154,7 @@ impl MeshTree {
         match self.square_below(index, child) {
             Some((page, square)) => {
                 let centre = (page, square.centre() as u16);
-                self.ask(centre, fails, excess);
+                self.ask(centre, Asker::First, fails, excess);
                 if self.is_enabled(centre) {
                     return self.visit(pass, page, square);
                 }

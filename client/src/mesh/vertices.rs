@@ -12,10 +12,29 @@ pub(super) type VertexRef = (Index, u16);
 pub(super) struct VertexState {
     /// Part of the mesh.
     pub(super) enabled: bool,
-    /// The test of a triangle of this page asks for it.
-    pub(super) asked: bool,
+    /// Which triangles of this page ask for it, a bit each: see [`Asker`].
+    pub(super) asked: u8,
     /// Enabled vertices of this page, and of its children, that depend on it.
     pub(super) dependents: u8,
+}
+
+/// Whose test asks for a vertex: a centre has one asker, an edge vertex one on each side.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[repr(u8)]
+pub(super) enum Asker {
+    /// The quadrant's box, for a centre; for an edge vertex the square to its west or south.
+    First = 1,
+    /// The square to its east or north.
+    Second = 2,
+}
+
+impl From<Edge> for Asker {
+    fn from(edge: Edge) -> Asker {
+        match edge {
+            Edge::East | Edge::North => Asker::First,
+            Edge::West | Edge::South => Asker::Second,
+        }
+    }
 }
 
 /// Vertices on which one depends directly: at most two, and none for the root's centre.
@@ -113,20 +132,21 @@ impl MeshTree {
     fn is_held(&self, vertex: VertexRef) -> bool {
         let holds = |v: VertexRef| {
             let state = self.state(v);
-            state.asked || state.dependents > 0
+            state.asked != 0 || state.dependents > 0
         };
         holds(vertex) || self.mirror(vertex).is_some_and(holds)
     }
 
-    /// Sets whether the test of a triangle of this page asks for a vertex, and lets all that
-    /// follows from it follow. `excess` is how far the test failed, for what is wanted.
-    pub(super) fn ask(&mut self, vertex: VertexRef, asked: bool, excess: f64) {
+    /// Sets whether a test asks for a vertex, and lets all that follows from it follow. `excess`
+    /// is how far the test failed, for what is wanted.
+    pub(super) fn ask(&mut self, vertex: VertexRef, asker: Asker, asked: bool, excess: f64) {
+        let bit = asker as u8;
         if asked {
             if self.enable(vertex, excess) {
-                self.set(vertex, |state| state.asked = true);
+                self.set(vertex, |state| state.asked |= bit);
             }
-        } else if self.state(vertex).asked {
-            self.set(vertex, |state| state.asked = false);
+        } else if self.state(vertex).asked & bit != 0 {
+            self.set(vertex, |state| state.asked &= !bit);
             self.release(vertex);
         }
     }
@@ -138,10 +158,9 @@ impl MeshTree {
     /// Enables a vertex and all that it depends on, or, if some of that is not resident, wants
     /// what is missing, and changes nothing.
     fn enable(&mut self, vertex: VertexRef, excess: f64) -> bool {
-        self.is_enabled(vertex) || self.enable_now(vertex, excess)
-    }
-
-    fn enable_now(&mut self, vertex: VertexRef, excess: f64) -> bool {
+        if self.is_enabled(vertex) {
+            return true;
+        }
         let needed = self.dependencies(vertex);
         let mut possible = self.has_data(vertex);
         if !possible {
@@ -152,12 +171,7 @@ impl MeshTree {
             possible = false;
         }
         for needed in needed.known.into_iter().flatten() {
-            let was_enabled = self.is_enabled(needed);
-            possible &= was_enabled || self.enable_now(needed, excess);
-            // What is enabled for another's sake may lie where the update has been already.
-            if !was_enabled && possible {
-                self.fresh.push(needed);
-            }
+            possible &= self.enable(needed, excess);
         }
         if !possible {
             for needed in needed.known.into_iter().flatten() {

@@ -9,7 +9,7 @@ struct Frame {
     spacing: vec4f,       // xyz: metres a column, a row, a quantum; w: exaggeration
     remainder: vec4f,     // xyz: the eye from the cell and height it is counted from, metres
     heights: vec4i,       // the eye's, the lowest; in quanta
-    range: vec4f,         // 1 / quanta of relief; the eye over the lowest ground, metres
+    range: vec4f,         // 1 / quanta of relief; the eye over the lowest ground, metres; pixels a radian
     air: vec4f,           // share scattered a metre on the ground; height over which it falls to 1/e, metres
     flags: vec4u,         // body has air; the target needs gamma applied
 }

@@ -2,6 +2,7 @@
 
 use super::eye::EyeFrame;
 use super::gpu::Gpu;
+use super::scene::DrawParams;
 use super::target::{DEPTH_FORMAT, Output};
 use crate::mesh::Vertex;
 use bytemuck::{Pod, Zeroable};
@@ -11,8 +12,8 @@ use glam::{DVec3, Vec3};
 /// Shader source that every pass begins with.
 pub const COMMON: &str = include_str!("common.wgsl");
 
-/// Share of light that a metre of air on the ground scatters: one in 110 km.
-const AIR_A_METRE: f32 = 1.0 / 110_000.0;
+/// Share of light that a metre of air on the ground scatters: one in 150 km.
+const AIR_A_METRE: f32 = 1.0 / 150_000.0;
 /// Height in which the air's density falls to 1/e, metres.
 const AIR_FALL_M: f32 = 8_000.0;
 /// A body is the Earth if its radius is within this share of the Earth's.
@@ -84,22 +85,36 @@ fn has_air(plane: &Plane) -> bool {
 }
 
 impl FrameUniform {
-    pub fn new(eye: &EyeFrame, body: &Body, sun: Vec3, output: Output) -> FrameUniform {
+    pub fn new(eye: &EyeFrame, body: &Body, params: &DrawParams, output: Output) -> FrameUniform {
         let lowest_m = f64::from(body.lowest) * body.quantum_m * eye.exaggeration;
         let [x, y] = eye.half_tangents;
+        let px_a_radian = params.view.px_per_slope() as f32;
         let vector = |v: DVec3| v.as_vec3().extend(0.0).to_array();
         FrameUniform {
             clip_from_eye: eye.clip_from_eye().to_cols_array_2d(),
             right: vector(eye.right * x),
             up: vector(eye.up * y),
             forward: vector(eye.forward),
-            sun: sun.normalize_or(Vec3::Z).extend(0.0).to_array(),
+            sun: Vec3::from(params.sun)
+                .normalize_or(Vec3::Z)
+                .extend(0.0)
+                .to_array(),
             spacing: eye.spacing_m.extend(eye.exaggeration as f32).to_array(),
             remainder: eye.remainder_m.extend(0.0).to_array(),
             heights: [eye.height, body.lowest, 0, 0],
-            range: [1.0 / body.relief, (eye.eye_m.z - lowest_m) as f32, 0.0, 0.0],
+            range: [
+                1.0 / body.relief,
+                (eye.eye_m.z - lowest_m) as f32,
+                px_a_radian,
+                0.0,
+            ],
             air: [AIR_A_METRE, AIR_FALL_M, 0.0, 0.0],
-            flags: [u32::from(body.air), u32::from(!output.applies_gamma()), 0, 0],
+            flags: [
+                u32::from(body.air),
+                u32::from(!output.applies_gamma()),
+                0,
+                0,
+            ],
         }
     }
 }
@@ -129,12 +144,12 @@ impl FrameBinding {
             },
             count: None,
         };
-        let group_layout =
-            gpu.device
-                .create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
-                    label: Some("frame"),
-                    entries: &[entry],
-                });
+        let group_layout = gpu
+            .device
+            .create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+                label: Some("frame"),
+                entries: &[entry],
+            });
         let group = gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("frame"),
             layout: &group_layout,
@@ -158,7 +173,8 @@ impl FrameBinding {
     }
 
     pub fn write(&self, gpu: &Gpu, frame: &FrameUniform) {
-        gpu.queue.write_buffer(&self.buffer, 0, bytemuck::bytes_of(frame));
+        gpu.queue
+            .write_buffer(&self.buffer, 0, bytemuck::bytes_of(frame));
     }
 
     pub fn bind(&self, pass: &mut wgpu::RenderPass<'_>) {
@@ -186,46 +202,49 @@ pub fn pipeline(
     kind: &PassKind<'_>,
 ) -> wgpu::RenderPipeline {
     let source = format!("{COMMON}\n{}", kind.shader);
-    let module = gpu.device.create_shader_module(wgpu::ShaderModuleDescriptor {
-        label: Some(kind.label),
-        source: wgpu::ShaderSource::Wgsl(source.into()),
-    });
+    let module = gpu
+        .device
+        .create_shader_module(wgpu::ShaderModuleDescriptor {
+            label: Some(kind.label),
+            source: wgpu::ShaderSource::Wgsl(source.into()),
+        });
     let page_buffers = [Some(vertex_layout()), Some(instance_layout())];
     let target = wgpu::ColorTargetState {
         format: output.format,
         blend: kind.blend,
         write_mask: wgpu::ColorWrites::ALL,
     };
-    gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
-        label: Some(kind.label),
-        layout: Some(&frame.layout),
-        vertex: wgpu::VertexState {
-            module: &module,
-            entry_point: Some("vertex"),
-            compilation_options: Default::default(),
-            buffers: if kind.reads_pages { &page_buffers } else { &[] },
-        },
-        primitive: kind.primitive,
-        depth_stencil: Some(wgpu::DepthStencilState {
-            format: DEPTH_FORMAT,
-            depth_write_enabled: Some(kind.writes_depth),
-            depth_compare: Some(kind.depth_compare),
-            stencil: Default::default(),
-            bias: Default::default(),
-        }),
-        multisample: wgpu::MultisampleState {
-            count: output.samples,
-            ..Default::default()
-        },
-        fragment: Some(wgpu::FragmentState {
-            module: &module,
-            entry_point: Some("fragment"),
-            compilation_options: Default::default(),
-            targets: &[Some(target)],
-        }),
-        multiview_mask: None,
-        cache: None,
-    })
+    gpu.device
+        .create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+            label: Some(kind.label),
+            layout: Some(&frame.layout),
+            vertex: wgpu::VertexState {
+                module: &module,
+                entry_point: Some("vertex"),
+                compilation_options: Default::default(),
+                buffers: if kind.reads_pages { &page_buffers } else { &[] },
+            },
+            primitive: kind.primitive,
+            depth_stencil: Some(wgpu::DepthStencilState {
+                format: DEPTH_FORMAT,
+                depth_write_enabled: Some(kind.writes_depth),
+                depth_compare: Some(kind.depth_compare),
+                stencil: Default::default(),
+                bias: Default::default(),
+            }),
+            multisample: wgpu::MultisampleState {
+                count: output.samples,
+                ..Default::default()
+            },
+            fragment: Some(wgpu::FragmentState {
+                module: &module,
+                entry_point: Some("fragment"),
+                compilation_options: Default::default(),
+                targets: &[Some(target)],
+            }),
+            multiview_mask: None,
+            cache: None,
+        })
 }
 
 fn vertex_layout() -> wgpu::VertexBufferLayout<'static> {

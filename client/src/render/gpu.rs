@@ -51,9 +51,8 @@ impl Gpu {
     /// # Errors
     /// [`GpuError::NoAdapter`], which says what to install, or [`GpuError::Device`].
     pub fn headless() -> Result<Gpu, GpuError> {
-        let instance = wgpu::Instance::new(
-            wgpu::InstanceDescriptor::new_without_display_handle_from_env(),
-        );
+        let instance =
+            wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle_from_env());
         open(choose(&instance, None)?)
     }
 
@@ -104,8 +103,11 @@ fn choose(
     instance: &wgpu::Instance,
     surface: Option<&wgpu::Surface<'_>>,
 ) -> Result<wgpu::Adapter, GpuError> {
-    let backends = wgpu::Backends::from_env().unwrap_or(wgpu::Backends::PRIMARY | wgpu::Backends::GL);
-    let wanted = std::env::var("WGPU_ADAPTER_NAME").unwrap_or_default().to_lowercase();
+    let backends =
+        wgpu::Backends::from_env().unwrap_or(wgpu::Backends::PRIMARY | wgpu::Backends::GL);
+    let wanted = std::env::var("WGPU_ADAPTER_NAME")
+        .unwrap_or_default()
+        .to_lowercase();
     pollster::block_on(instance.enumerate_adapters(backends))
         .into_iter()
         .filter(|adapter| surface.is_none_or(|s| adapter.is_surface_supported(s)))

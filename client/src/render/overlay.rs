@@ -19,13 +19,19 @@ pub struct Overlay(egui_wgpu::Renderer);
 impl Overlay {
     pub fn new(gpu: &Gpu, output: Output) -> Overlay {
         let options = egui_wgpu::RendererOptions::default();
-        Overlay(egui_wgpu::Renderer::new(&gpu.device, output.format, options))
+        Overlay(egui_wgpu::Renderer::new(
+            &gpu.device,
+            output.format,
+            options,
+        ))
     }
 
     /// Takes over what changed in the textures; also for frames that are not drawn.
     pub fn update_textures(&mut self, gpu: &Gpu, delta: &mut egui::TexturesDelta) {
-        for (id, image) in delta.set.drain(..) {
-            self.0.update_texture(&gpu.device, &gpu.queue, id, &image);
+        for (id, images) in delta.set.drain() {
+            for image in images {
+                self.0.update_texture(&gpu.device, &gpu.queue, id, &image);
+            }
         }
     }
 
@@ -42,7 +48,9 @@ impl Overlay {
             pixels_per_point: ui.pixels_per_point,
         };
         let (device, queue) = (&gpu.device, &gpu.queue);
-        let extra = self.0.update_buffers(device, queue, encoder, &ui.primitives, &screen);
+        let extra = self
+            .0
+            .update_buffers(device, queue, encoder, &ui.primitives, &screen);
         queue.submit(extra);
         let pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some("overlay"),
@@ -57,12 +65,13 @@ impl Overlay {
             })],
             ..Default::default()
         });
-        self.0.render(&mut pass.forget_lifetime(), &ui.primitives, &screen);
+        self.0
+            .render(&mut pass.forget_lifetime(), &ui.primitives, &screen);
     }
 
     /// Forgets textures that no later frame uses.
     pub fn free_textures(&mut self, delta: &mut egui::TexturesDelta) {
-        for id in delta.free.drain(..) {
+        for id in delta.free.drain() {
             self.0.free_texture(&id);
         }
     }

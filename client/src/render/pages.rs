@@ -122,7 +122,12 @@ impl Pages {
     /// # Panics
     /// If the mesh has not the vertices of a page.
     pub fn keep(&mut self, mesh: &PageMesh) {
-        assert_eq!(mesh.vertices.len(), PAGE_VERTICES, "vertices of page {}", mesh.id);
+        assert_eq!(
+            mesh.vertices.len(),
+            PAGE_VERTICES,
+            "vertices of page {}",
+            mesh.id
+        );
         let fresh = (mesh.vertex_stamp, mesh.index_stamp);
         if let Some(page) = self.resident.get_mut(&mesh.id)
             && (page.vertex_stamp, page.index_stamp) == fresh
@@ -131,11 +136,14 @@ impl Pages {
             return;
         }
         let known = self.resident.remove(&mesh.id);
-        let stamps = known.as_ref().map(|page| (page.vertex_stamp, page.index_stamp));
+        let stamps = known
+            .as_ref()
+            .map(|page| (page.vertex_stamp, page.index_stamp));
         let mut page = known.unwrap_or_else(|| self.enter(mesh));
         if stamps.is_none_or(|(vertices, _)| vertices != mesh.vertex_stamp) {
             let bytes = bytemuck::cast_slice(&mesh.vertices);
-            self.staging.put(&self.gpu, &self.vertices, page.vertex_run, bytes);
+            self.staging
+                .put(&self.gpu, &self.vertices, page.vertex_run, bytes);
         }
         if stamps.is_none_or(|(_, indices)| indices != mesh.index_stamp) {
             page.triangles = self.store(page.triangles, &mesh.indices);
@@ -159,7 +167,10 @@ impl Pages {
             if !stays {
                 vertices.give(page.vertex_run);
                 let lists = [page.triangles, page.lines];
-                lists.iter().flatten().for_each(|list| indices.give(list.run));
+                lists
+                    .iter()
+                    .flatten()
+                    .for_each(|list| indices.give(list.run));
             }
             stays
         });

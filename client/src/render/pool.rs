@@ -47,12 +47,17 @@ impl Pool {
     /// If a whole block does not hold them.
     pub fn take(&mut self, gpu: &Gpu, bytes: usize) -> Run {
         let order = order_of((bytes as u32).div_ceil(self.unit_bytes));
-        assert!(order <= self.block_order, "{bytes} bytes for {}", self.label);
+        assert!(
+            order <= self.block_order,
+            "{bytes} bytes for {}",
+            self.label
+        );
         let held = (0..).zip(&mut self.blocks);
         let found = held
             .filter_map(|(block, (_, buddy))| Some((block, buddy.take(order)?)))
             .next();
-        let (block, unit) = found.unwrap_or_else(|| (self.blocks.len() as u32, self.grow(gpu, order)));
+        let (block, unit) =
+            found.unwrap_or_else(|| (self.blocks.len() as u32, self.grow(gpu, order)));
         Run { block, unit, order }
     }
 

@@ -9,7 +9,6 @@ use super::{sky, terrain, wireframe};
 use crate::mesh::PageMesh;
 use escarp_proto::georef::Georef;
 use escarp_proto::view::View;
-use glam::Vec3;
 
 /// From the north-west, 38 degrees up, where maps have it.
 const MAP_SUN: [f32; 3] = [-0.557, 0.557, 0.616];
@@ -150,13 +149,10 @@ impl Scene {
         background: Option<wgpu::Color>,
     ) -> DrawStats {
         let eye = EyeFrame::of(&params.view, &self.georef, params.exaggeration);
-        let sun = Vec3::from(params.sun);
-        self.frame.write(
-            &self.gpu,
-            &FrameUniform::new(&eye, &self.body, sun, self.output),
-        );
+        let frame = FrameUniform::new(&eye, &self.body, params, self.output);
+        self.frame.write(&self.gpu, &frame);
         let (visible, mut stats) = visible(&self.pages, &eye);
-        self.write_instances(&visible, &eye);
+        write_instances(&self.gpu, &mut self.instances, &visible, &eye);
         let clear = background.unwrap_or(wgpu::Color::BLACK);
         let mut pass = attachments.begin(encoder, view, clear);
         self.frame.bind(&mut pass);
@@ -173,21 +169,6 @@ impl Scene {
             self.draw_pages(&mut pass, &visible, indices);
         }
         stats
-    }
-
-    fn write_instances(&mut self, visible: &[&Resident], eye: &EyeFrame) {
-        let instances: Vec<PageInstance> = visible
-            .iter()
-            .map(|page| PageInstance {
-                origin: eye.relative(page.origin),
-                stride: page.stride,
-            })
-            .collect();
-        let bytes: &[u8] = bytemuck::cast_slice(&instances);
-        if self.instances.size() < bytes.len() as u64 {
-            self.instances = instance_buffer(&self.gpu, instances.len().next_power_of_two());
-        }
-        self.gpu.queue.write_buffer(&self.instances, 0, bytes);
     }
 
     /// One draw for each page; returns how many indices were drawn.
@@ -246,10 +227,30 @@ fn visible<'a>(pages: &'a Pages, eye: &EyeFrame) -> (Vec<&'a Resident>, DrawStat
         })
         .collect();
     visible.sort_unstable_by_key(|page| {
-        (page.vertex_block(), page.triangles.map(|list| list.block()), page.base_vertex())
+        (
+            page.vertex_block(),
+            page.triangles.map(|list| list.block()),
+            page.base_vertex(),
+        )
     });
     stats.pages_drawn = visible.len() as u32;
     (visible, stats)
+}
+
+/// Fills the instance buffer, and takes a larger one if need be.
+fn write_instances(gpu: &Gpu, buffer: &mut wgpu::Buffer, visible: &[&Resident], eye: &EyeFrame) {
+    let instances: Vec<PageInstance> = visible
+        .iter()
+        .map(|page| PageInstance {
+            origin: eye.relative(page.origin),
+            stride: page.stride,
+        })
+        .collect();
+    let bytes: &[u8] = bytemuck::cast_slice(&instances);
+    if buffer.size() < bytes.len() as u64 {
+        *buffer = instance_buffer(gpu, instances.len().next_power_of_two());
+    }
+    gpu.queue.write_buffer(buffer, 0, bytes);
 }
 
 fn instance_buffer(gpu: &Gpu, count: usize) -> wgpu::Buffer {

@@ -178,6 +178,8 @@ fn gamma_format(
         wgpu::TextureFormat::Bgra8Unorm,
         wgpu::TextureFormat::Rgba8Unorm,
     ];
-    let found = eight_bits.into_iter().find(|format| capabilities.formats.contains(format));
+    let found = eight_bits
+        .into_iter()
+        .find(|format| capabilities.formats.contains(format));
     found.unwrap_or(default)
 }

@@ -3,6 +3,7 @@
 use crate::catalog::percent_encoded;
 use crate::native::{NativeCorners, native_corners};
 use crate::source::PageSource;
+use escarp_proto::manifest::Manifest;
 use serde::Serialize;
 use std::sync::Arc;
 
@@ -47,9 +48,15 @@ impl Dataset {
             sample_spacing_m: manifest.georef.sample_spacing_m,
             levels: manifest.grid_levels.get(),
             pages: manifest.pages,
-            bytes: manifest.segment_bytes.iter().fold(manifest.index.bytes, |sum, &bytes| sum.saturating_add(bytes)),
+            bytes: bytes_on_disk(manifest),
             generation: manifest.generation,
             sources: manifest.sources.clone(),
         }
     }
+}
+
+/// Segments and index.
+fn bytes_on_disk(manifest: &Manifest) -> u64 {
+    let segments = manifest.segments.iter().map(|segment| segment.bytes);
+    segments.fold(manifest.index.bytes, u64::saturating_add)
 }

@@ -31,6 +31,9 @@ pub(super) fn chunk_of(source: &dyn PageSource, wish: Wish) -> Result<Chunk, Mis
     let header =
         RecordHeader::read(page, finest, &record).map_err(|error| damaged(error.to_string()))?;
     let last_part = wish.last_part.min(header.last_part());
+    if first_part > last_part {
+        return Err(MissReason::NotFound);
+    }
     let parts = header.part_bytes(first_part, last_part).ok_or(MissReason::NotFound)?;
     let bytes = record.get(parts).ok_or_else(|| damaged("record cut short".into()))?;
     Ok(Chunk {

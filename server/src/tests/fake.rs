@@ -4,7 +4,7 @@ use crate::source::{PageSource, SourceError};
 use escarp_proto::err8::Err8;
 use escarp_proto::geometry::{GridLevels, PAGE_SLOTS, PageId};
 use escarp_proto::georef::{Georef, Plane};
-use escarp_proto::manifest::{FORMAT, FileCheck, Manifest, VERSION};
+use escarp_proto::manifest::{FORMAT, FileCheck, Manifest, Segment, VERSION};
 use escarp_proto::page::{ChildSlot, PAGE_AREA, Page, Record, revision};
 use std::borrow::Cow;
 use std::collections::HashMap;
@@ -117,7 +117,10 @@ fn manifest() -> Manifest {
         storage_error_m: 0.25,
         codec: 0,
         pages: 1,
-        segment_bytes: vec![1000],
+        segments: vec![Segment {
+            file: "seg-3-0".into(),
+            bytes: 1000,
+        }],
         index: FileCheck {
             bytes: 24,
             crc32c: 0,

@@ -94,7 +94,7 @@ pub fn run(cli: Cli) -> Result<ExitCode> {
         Command::Info(args) => info::run(&args),
         Command::Verify(args) => verify::run(&args),
         Command::Sample(args) => {
-            //SYNTH crate::synth::write_geotiff(&args.output, args.size, args.seed)?;
+            crate::synth::write_geotiff(&args.output, args.size, args.seed)?;
             let (file, side) = (args.output.display(), args.size);
             println!("{file}: {side} x {side} samples, 10 m apart, seed {}", args.seed);
             Ok(ExitCode::SUCCESS)

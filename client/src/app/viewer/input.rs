@@ -82,7 +82,8 @@ impl Input {
     /// What the held keys ask for.
     pub fn controls(&self) -> Controls {
         use KeyCode::*;
-        let any = |keys: &[KeyCode]| f64::from(u8::from(keys.iter().any(|key| self.held.contains(key))));
+        let any =
+            |keys: &[KeyCode]| f64::from(u8::from(keys.iter().any(|key| self.held.contains(key))));
         Controls {
             forward: any(&[KeyW, ArrowUp]) - any(&[KeyS, ArrowDown]),
             right: any(&[KeyD, ArrowRight]) - any(&[KeyA, ArrowLeft]),

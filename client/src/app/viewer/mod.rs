@@ -117,14 +117,26 @@ impl<C: TerrainClient> Viewer<C> {
             return;
         };
         match session.frame(&mut self.client, self.began.elapsed()) {
-            Ok(Presented::Shown(_)) if session.is_busy() => session.window().request_redraw(),
-            Ok(Presented::Shown(_)) => {
-                let rest = session.repaint_after().min(REST);
-                events.set_control_flow(ControlFlow::wait_duration(rest));
+            Ok(Presented::Shown(_)) if session.is_busy() => {
+                events.set_control_flow(ControlFlow::Wait);
+                session.window().request_redraw();
             }
             Ok(Presented::Retry) => events.set_control_flow(ControlFlow::wait_duration(RETRY)),
-            Ok(Presented::Hidden) => events.set_control_flow(ControlFlow::wait_duration(REST)),
+            Ok(_) => events.set_control_flow(ControlFlow::wait_duration(REST)),
             Err(error) => self.end(events, Err(error.into())),
+        }
+    }
+
+    /// After a rest: draws if there is something new to show, and rests on if not.
+    fn look_for_news(&mut self, events: &ActiveEventLoop) {
+        let Some(session) = &mut self.session else {
+            return;
+        };
+        if session.has_news(&mut self.client, self.began.elapsed()) {
+            events.set_control_flow(ControlFlow::Wait);
+            session.window().request_redraw();
+        } else {
+            events.set_control_flow(ControlFlow::wait_duration(REST));
         }
     }
 }
@@ -143,9 +155,9 @@ impl<C: TerrainClient> ApplicationHandler<News> for Viewer<C> {
         }
     }
 
-    fn new_events(&mut self, _: &ActiveEventLoop, cause: StartCause) {
-        if let (StartCause::ResumeTimeReached { .. }, Some(session)) = (cause, &self.session) {
-            session.window().request_redraw();
+    fn new_events(&mut self, events: &ActiveEventLoop, cause: StartCause) {
+        if let StartCause::ResumeTimeReached { .. } = cause {
+            self.look_for_news(events);
         }
     }
 

@@ -36,7 +36,10 @@ pub struct Session {
     start: Option<([f64; 3], [f64; 3])>,
     last: Option<Duration>,
     message_until: Duration,
-    repaint_after: Duration,
+    /// When the user interface wants to be drawn again.
+    repaint_at: Option<Duration>,
+    /// Whether the last picture was not shown, and must be drawn again.
+    stale: bool,
     screenshot_due: bool,
     unsettled: bool,
 }
@@ -79,7 +82,8 @@ impl Session {
             start: options.start,
             last: None,
             message_until: Duration::ZERO,
-            repaint_after: Duration::ZERO,
+            repaint_at: None,
+            stale: true,
             screenshot_due: false,
             unsettled: true,
             window,
@@ -94,13 +98,32 @@ impl Session {
 
     /// Whether the next picture will differ from this one.
     pub fn is_busy(&self) -> bool {
-        let moving = self.world.as_ref().is_some_and(|world| world.camera.is_moving());
-        moving || self.unsettled || self.repaint_after.is_zero() || self.screenshot_due
+        let moving = self
+            .world
+            .as_ref()
+            .is_some_and(|world| world.camera.is_moving());
+        let now = self.last.unwrap_or_default();
+        moving
+            || self.unsettled
+            || self.screenshot_due
+            || self.repaint_at.is_some_and(|at| at <= now)
     }
 
-    /// When the user interface wants to be drawn again.
-    pub fn repaint_after(&self) -> Duration {
-        self.repaint_after
+    /// Whether a viewer that rested has something new to show. Steps the client.
+    pub fn has_news(&mut self, client: &mut impl TerrainClient, now: Duration) -> bool {
+        let message_is_over = !self.facts.message.is_empty() && now > self.message_until;
+        let repaint = self.repaint_at.is_some_and(|at| at <= now);
+        if self.stale || message_is_over || repaint || client.status() != self.facts.status {
+            return true;
+        }
+        match (&self.world, self.target.size_px()) {
+            (Some(world), Some(size)) => {
+                let view = world.camera.view(size, self.settings.error_px);
+                step_differs(&client.step(&view, now), &self.facts.step)
+            }
+            (None, _) => client.manifest().is_some(),
+            (_, None) => false,
+        }
     }
 
     /// Takes an event of the window; returns whether the user wants to quit.
@@ -110,25 +133,30 @@ impl Session {
             self.window.request_redraw();
         }
         match event {
-            WindowEvent::Resized(size) => self.target.resize([size.width, size.height]),
-            WindowEvent::ScaleFactorChanged { .. } => {
+            WindowEvent::Resized(_) | WindowEvent::ScaleFactorChanged { .. } => {
                 let size = self.window.inner_size();
                 self.target.resize([size.width, size.height]);
+                self.window.request_redraw();
             }
             WindowEvent::Focused(false) => self.input.release(),
             WindowEvent::Occluded(false) => self.window.request_redraw(),
             WindowEvent::KeyboardInput { event, .. } => {
                 // A slider that is being typed in takes letters, but no release is ever missed.
-                let typed = self.egui.egui_ctx().egui_wants_keyboard_input();
+                let typed = self.egui.egui_ctx().text_edit_focused();
                 let pressed = event.state.is_pressed();
-                let command = if typed && pressed { None } else { self.input.key(event) };
+                let command = if typed && pressed {
+                    None
+                } else {
+                    self.input.key(event)
+                };
                 self.window.request_redraw();
                 return command.is_some_and(|command| self.obey(command));
             }
-            WindowEvent::MouseInput { state, button, .. } => {
-                if !(answer.consumed && state.is_pressed()) {
-                    self.input.button(*button, *state);
-                }
+            // A press on the user interface is not ours; a release ends our drag wherever it is.
+            WindowEvent::MouseInput { state, button, .. }
+                if !(answer.consumed && state.is_pressed()) =>
+            {
+                self.input.button(*button, *state);
             }
             WindowEvent::MouseWheel { delta, .. } if !answer.consumed => {
                 self.change_pace(notches(*delta));
@@ -208,10 +236,11 @@ impl Session {
             self.advance(client, size, now, elapsed);
         }
         self.save_screenshot(now);
-        let ui = self.lay_out();
+        let ui = self.lay_out(now);
         let params = self.params();
         let scene = self.world.as_mut().map(|world| &mut world.scene);
         let presented = self.target.present(scene.zip(params.as_ref()), ui)?;
+        self.stale = presented == Presented::Retry;
         if let Presented::Shown(drawn) = presented {
             self.facts.drawn = drawn;
             let ms = began.elapsed().as_secs_f32() * 1e3;
@@ -285,16 +314,17 @@ impl Session {
         })
     }
 
-    fn lay_out(&mut self) -> UiFrame {
+    fn lay_out(&mut self, now: Duration) -> UiFrame {
         let input = self.egui.take_egui_input(&self.window);
         let context = self.egui.egui_ctx().clone();
         let (settings, facts) = (&mut self.settings, &self.facts);
         let before = *settings;
         let output = context.run_ui(input, |ui| show(ui, settings, facts));
         self.unsettled |= before != *settings;
-        self.egui.handle_platform_output(&self.window, output.platform_output);
+        self.egui
+            .handle_platform_output(&self.window, output.platform_output);
         let root = output.viewport_output.get(&egui::ViewportId::ROOT);
-        self.repaint_after = root.map_or(Duration::MAX, |root| root.repaint_delay);
+        self.repaint_at = root.and_then(|root| now.checked_add(root.repaint_delay));
         UiFrame {
             primitives: context.tessellate(output.shapes, output.pixels_per_point),
             textures: output.textures_delta,
@@ -345,7 +375,8 @@ impl World {
 
     fn stay_above_ground(&mut self, exaggeration: f64) {
         if let Some(ground) = self.ground_m {
-            self.camera.stay_above(ground * exaggeration + self.clearance_m());
+            self.camera
+                .stay_above(ground * exaggeration + self.clearance_m());
         }
     }
 
@@ -364,5 +395,11 @@ impl World {
 
 /// Whether anything but the time it took differs.
 fn step_differs(a: &StepStats, b: &StepStats) -> bool {
-    StepStats { update_ms: 0.0, ..*a } != StepStats { update_ms: 0.0, ..*b }
+    StepStats {
+        update_ms: 0.0,
+        ..*a
+    } != StepStats {
+        update_ms: 0.0,
+        ..*b
+    }
 }

@@ -35,16 +35,14 @@ pub struct Facts {
 
 /// Lays it all out.
 pub fn show(ui: &mut Ui, settings: &mut Settings, facts: &Facts) {
-    let panel = Frame::window(ui.style())
-        .fill(Color32::from_rgba_unmultiplied(14, 18, 26, 214))
-        .stroke(egui::Stroke::NONE)
-        .shadow(egui::Shadow::NONE);
+    let panel = panel(ui);
     Window::new("status")
         .title_bar(false)
         .resizable(false)
         .anchor(Align2::LEFT_TOP, [10.0, 10.0])
         .frame(panel)
         .show(ui.ctx(), |ui| {
+            brighten(ui);
             status(ui, facts, settings);
             ui.add_space(4.0);
             controls(ui, settings);
@@ -59,39 +57,49 @@ pub fn show(ui: &mut Ui, settings: &mut Settings, facts: &Facts) {
     }
 }
 
+/// A dark pane that lets the picture through, but not so much that the text suffers.
+fn panel(ui: &Ui) -> Frame {
+    Frame::window(ui.style())
+        .fill(Color32::from_rgba_unmultiplied(14, 18, 26, 214))
+        .stroke(egui::Stroke::NONE)
+        .shadow(egui::Shadow::NONE)
+}
+
+/// Text and rails that can be read on the pane.
+fn brighten(ui: &mut Ui) {
+    ui.style_mut().wrap_mode = Some(egui::TextWrapMode::Extend);
+    let visuals = ui.visuals_mut();
+    visuals.override_text_color = Some(Color32::from_gray(222));
+    visuals.widgets.inactive.bg_fill = Color32::from_gray(84);
+    visuals.widgets.inactive.weak_bg_fill = Color32::from_gray(56);
+}
+
 fn status(ui: &mut Ui, facts: &Facts, settings: &Settings) {
     let (step, drawn) = (&facts.step, &facts.drawn);
     ui.label(bound(step, settings));
-    line(
-        ui,
-        format!(
-            "{} triangles ({} drawn)   {:.1} ms a frame (update {:.2} ms)",
-            thousands(step.triangles),
-            thousands(drawn.triangles_drawn),
-            facts.frame_ms,
-            step.update_ms
-        ),
-    );
-    line(
-        ui,
-        format!(
-            "{} received   pages: {} resident, {} wanted, {} in flight",
-            bytes(step.bytes_received),
-            step.pages_resident,
-            step.pages_wanted,
-            step.pages_in_flight
-        ),
-    );
+    ui.label(format!(
+        "{} triangles ({} drawn)   {:.1} ms a frame (update {:.2} ms)",
+        thousands(step.triangles),
+        thousands(drawn.triangles_drawn),
+        facts.frame_ms,
+        step.update_ms
+    ));
+    ui.label(format!(
+        "{} received   pages: {} resident, {} wanted, {} in flight",
+        bytes(step.bytes_received),
+        step.pages_resident,
+        step.pages_wanted,
+        step.pages_in_flight
+    ));
     let above = facts.above_ground_m.map_or("—".into(), metres);
-    line(ui, format!("{above} above ground   {}/s at full speed", metres(facts.speed_m_s)));
-    line(ui, facts.status.clone());
+    ui.label(format!(
+        "{above} above ground   {}/s at full speed",
+        metres(facts.speed_m_s)
+    ));
+    ui.label(facts.status.clone());
     if !facts.message.is_empty() {
         ui.label(RichText::new(&facts.message).color(Color32::from_rgb(255, 214, 120)));
     }
-}
-
-fn line(ui: &mut Ui, text: String) {
-    ui.label(RichText::new(text).color(Color32::from_gray(222)));
 }
 
 /// The error bound against the tolerance: green within it, amber while loading.
@@ -102,8 +110,15 @@ fn bound(step: &StepStats, settings: &Settings) -> RichText {
         "∞".into()
     };
     let state = if step.converged { "" } else { ", loading" };
-    let scale = if settings.exaggeration == 1.0 { "" } else { ", at true heights" };
-    let text = format!("error at most {found}, tolerance {:.2} px{scale}{state}", settings.error_px);
+    let scale = if settings.exaggeration == 1.0 {
+        ""
+    } else {
+        ", at true heights"
+    };
+    let text = format!(
+        "error at most {found}, tolerance {:.2} px{scale}{state}",
+        settings.error_px
+    );
     let within = step.bound_px <= f64::from(settings.error_px);
     let colour = if within {
         Color32::from_rgb(140, 230, 150)
@@ -134,6 +149,7 @@ fn controls(ui: &mut Ui, settings: &mut Settings) {
 }
 
 fn help(ui: &mut Ui) {
+    brighten(ui);
     egui::Grid::new("keys").num_columns(2).show(ui, |ui| {
         for (key, action) in HELP {
             ui.label(RichText::new(key).strong());
@@ -176,7 +192,13 @@ mod tests {
     fn figures_are_readable() {
         assert_eq!(thousands(7), "7");
         assert_eq!(thousands(1_234_567), "1 234 567");
-        assert_eq!([bytes(12), bytes(1234), bytes(12_345_678)], ["12 B", "1.2 kB", "12.35 MB"]);
-        assert_eq!([metres(0.5), metres(1500.0), metres(25_000.0)], ["0.5 m", "1.5 km", "25 km"]);
+        assert_eq!(
+            [bytes(12), bytes(1234), bytes(12_345_678)],
+            ["12 B", "1.2 kB", "12.35 MB"]
+        );
+        assert_eq!(
+            [metres(0.5), metres(1500.0), metres(25_000.0)],
+            ["0.5 m", "1.5 km", "25 km"]
+        );
     }
 }

@@ -14,7 +14,7 @@ fn vertex(@builtin(vertex_index) index: u32) -> Ray {
     return ray;
 }
 
-const PLAIN = vec3f(0.085, 0.105, 0.135);
+const PLAIN = vec3f(0.150, 0.176, 0.212);
 // The sky is much deeper than the haze before the ground: it is lit through all its depth.
 const DEPTH = 7.0;
 

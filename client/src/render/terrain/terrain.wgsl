@@ -25,12 +25,12 @@ fn vertex(
 // Linear colours of even steps of height.
 fn ramp_earth(height: f32) -> vec3f {
     var stops = array<vec3f, 9>(
-        vec3f(0.105, 0.196, 0.072), // lush lowland
-        vec3f(0.158, 0.252, 0.083),
-        vec3f(0.268, 0.330, 0.117), // meadow
-        vec3f(0.406, 0.386, 0.168), // dry grass
-        vec3f(0.435, 0.341, 0.170), // ochre
-        vec3f(0.352, 0.258, 0.155), // brown
+        vec3f(0.098, 0.158, 0.062), // lush lowland
+        vec3f(0.150, 0.206, 0.080),
+        vec3f(0.250, 0.282, 0.118), // meadow
+        vec3f(0.385, 0.358, 0.178), // dry grass
+        vec3f(0.428, 0.334, 0.180), // ochre
+        vec3f(0.350, 0.258, 0.162), // brown
         vec3f(0.297, 0.254, 0.213), // rock
         vec3f(0.462, 0.450, 0.440), // scree and old snow
         vec3f(0.900, 0.925, 0.960), // snow
@@ -49,7 +49,7 @@ fn albedo(height: f32, level: f32) -> vec3f {
     if !has_air() {
         return mix(ramp_airless(height) * 1.12, ramp_airless(height), smoothstep(0.7, 0.95, level));
     }
-    let rock = mix(vec3f(0.150, 0.122, 0.098), vec3f(0.235, 0.220, 0.205), height);
+    let rock = mix(vec3f(0.165, 0.137, 0.108), vec3f(0.245, 0.226, 0.205), height);
     return mix(rock, ramp_earth(height), smoothstep(0.58, 0.86, level));
 }
 
@@ -63,8 +63,8 @@ fn lit(colour: vec3f, normal: vec3f) -> vec3f {
     if !has_air() {
         return colour * (1.75 * sun + 0.035);
     }
-    let sky = mix(vec3f(0.13, 0.11, 0.09), vec3f(0.27, 0.34, 0.46), 0.5 + 0.5 * normal.z);
-    return colour * (vec3f(1.52, 1.38, 1.16) * sun + sky);
+    let sky = mix(vec3f(0.15, 0.125, 0.10), vec3f(0.27, 0.33, 0.42), 0.5 + 0.5 * normal.z);
+    return colour * (vec3f(1.66, 1.50, 1.24) * sun + sky);
 }
 
 @fragment

@@ -14,7 +14,10 @@ pub fn new(gpu: &Gpu, frame: &FrameBinding, output: Output, lists: bool) -> wgpu
     let (topology, polygon_mode) = if lists {
         (wgpu::PrimitiveTopology::LineList, wgpu::PolygonMode::Fill)
     } else {
-        (wgpu::PrimitiveTopology::TriangleList, wgpu::PolygonMode::Line)
+        (
+            wgpu::PrimitiveTopology::TriangleList,
+            wgpu::PolygonMode::Line,
+        )
     };
     let kind = PassKind {
         label: "wireframe",

@@ -1,0 +1,250 @@
+//! Pictures and flights without a window.
+
+use super::{StepStats, TerrainClient};
+use crate::flight::Path as Flight;
+use crate::remote::RemoteTerrain;
+use crate::render::{DrawParams, Gpu, Headless, Scene};
+use anyhow::{Context, Result, bail};
+use escarp_proto::manifest::Manifest;
+use escarp_proto::view::View;
+use image::RgbaImage;
+use serde::Serialize;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, sync_channel};
+use std::time::{Duration, Instant};
+
+/// How long a program sleeps at most while it waits for the network.
+const NAP: Duration = Duration::from_millis(20);
+
+/// A remote terrain, a clock, and a way to sleep until something arrives.
+pub struct Driver {
+    /// The terrain.
+    pub client: RemoteTerrain,
+    began: Instant,
+    news: Receiver<()>,
+}
+
+impl Driver {
+    /// Takes over a terrain.
+    pub fn new(mut client: RemoteTerrain) -> Driver {
+        let (sender, news) = sync_channel(1);
+        client.set_waker(Arc::new(move || {
+            // Full means that a wake-up is pending already.
+            let _ = sender.try_send(());
+        }));
+        Driver {
+            client,
+            began: Instant::now(),
+            news,
+        }
+    }
+
+    /// Time since the beginning.
+    pub fn now(&self) -> Duration {
+        self.began.elapsed()
+    }
+
+    /// Waits for the server to say what the dataset is.
+    ///
+    /// # Errors
+    /// What the server, or the system, said instead; or that nothing was said in time.
+    pub fn connect(&mut self, wait: Duration) -> Result<Arc<Manifest>> {
+        let any = View {
+            eye_m: [0.0; 3],
+            direction: [0.0, 1.0, 0.0],
+            velocity_m_s: [0.0; 3],
+            fov_y: 1.0,
+            viewport_px: [1, 1],
+            max_screen_error_px: 1024.0,
+        };
+        loop {
+            self.client.step(&any, self.began.elapsed());
+            if let Some(manifest) = self.client.manifest() {
+                return Ok(manifest);
+            }
+            if let Some(failure) = self.client.failure() {
+                bail!(failure);
+            }
+            if self.now() > wait {
+                bail!("no answer within {} s: {}", wait.as_secs(), self.client.status());
+            }
+            self.nap(NAP);
+        }
+    }
+
+    /// Steps until all that can be had for a view is here, or time is up.
+    ///
+    /// # Errors
+    /// If the server refuses for good.
+    pub fn settle(&mut self, view: &View, wait: Duration) -> Result<StepStats> {
+        view.check()?;
+        let until = self.now() + wait;
+        loop {
+            let stats = self.client.step(view, self.began.elapsed());
+            if let Some(failure) = self.client.failure() {
+                bail!(failure);
+            }
+            if self.client.is_settled() || self.now() > until {
+                return Ok(stats);
+            }
+            self.nap(NAP);
+        }
+    }
+
+    /// Sleeps until something arrives, or this long.
+    pub fn nap(&self, most: Duration) {
+        let _ = self.news.recv_timeout(most);
+    }
+}
+
+/// A scene and an image to draw it into.
+pub struct Painter {
+    scene: Scene,
+    target: Headless,
+}
+
+impl Painter {
+    /// Finds an adapter and prepares pictures of this size in pixels.
+    ///
+    /// # Errors
+    /// If there is no adapter, or the size is not possible.
+    pub fn new(manifest: &Manifest, size_px: [u32; 2]) -> Result<Painter> {
+        let gpu = Gpu::headless()?;
+        let target = Headless::new(&gpu, size_px, 4)?;
+        let scene = Scene::new(&gpu, &manifest.georef, manifest.height_range, target.output());
+        Ok(Painter { scene, target })
+    }
+
+    /// Draws what a client has.
+    ///
+    /// # Errors
+    /// If the device is lost.
+    pub fn paint(&mut self, client: &impl TerrainClient, view: View, wireframe: bool) -> Result<RgbaImage> {
+        let mut sync = self.scene.begin_sync();
+        client.visit_pages(&mut |mesh| sync.keep(mesh));
+        sync.end();
+        let params = DrawParams {
+            wireframe,
+            ..DrawParams::new(view)
+        };
+        Ok(self.target.render(&mut self.scene, &params)?.0)
+    }
+}
+
+/// A frame of a flight, as printed.
+#[derive(Debug, Clone, Serialize)]
+pub struct FrameReport {
+    /// Time on the path, seconds.
+    pub time_s: f64,
+    /// The eye, metres.
+    pub eye_m: [f64; 3],
+    /// Triangles of the mesh.
+    pub triangles: u64,
+    /// Bytes received since the beginning.
+    pub bytes: u64,
+    /// Pages wanted and not here.
+    pub pages_wanted: u32,
+    /// Pages on their way.
+    pub pages_in_flight: u32,
+    /// Pages here.
+    pub pages_resident: u32,
+    /// Error bound of the frame, pixels; `null` while there is none.
+    pub bound_px: Option<f64>,
+    /// Updating and triangulating, milliseconds.
+    pub update_ms: f32,
+    /// Drawing and reading back, milliseconds; absent where no picture is made.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub draw_ms: Option<f64>,
+}
+
+/// How a flight is flown.
+#[derive(Debug, Clone)]
+pub struct FlyOptions {
+    /// Folder for pictures; none are made without it.
+    pub pictures: Option<PathBuf>,
+    /// A picture every so many frames.
+    pub every: u64,
+    /// Wait at each frame until it is converged, instead of keeping to the clock.
+    pub settle: bool,
+    /// Draw the triangles' edges.
+    pub wireframe: bool,
+}
+
+/// Flies a path, and writes a line of JSON a frame.
+///
+/// # Errors
+/// If the server refuses for good, or a picture cannot be drawn or written.
+pub fn fly(
+    driver: &mut Driver,
+    manifest: &Manifest,
+    flight: &Flight,
+    options: &FlyOptions,
+    out: &mut impl Write,
+) -> Result<Vec<FrameReport>> {
+    let mut painter = match &options.pictures {
+        Some(folder) => {
+            std::fs::create_dir_all(folder)
+                .with_context(|| format!("cannot create the folder {}", folder.display()))?;
+            Some(Painter::new(manifest, flight.view(0.0).viewport_px)?)
+        }
+        None => None,
+    };
+    let began = driver.now();
+    let mut reports = Vec::new();
+    for frame in 0..flight.frames() {
+        let time_s = flight.frame_time_s(frame);
+        let view = flight.view(time_s);
+        let stats = if options.settle {
+            driver.settle(&view, Duration::from_secs(60))?
+        } else {
+            wait_until(driver, began + Duration::from_secs_f64(time_s));
+            let now = driver.now();
+            driver.client.step(&view, now)
+        };
+        if let Some(failure) = driver.client.failure() {
+            bail!(failure);
+        }
+        let mut report = FrameReport {
+            time_s,
+            eye_m: view.eye_m,
+            triangles: stats.triangles,
+            bytes: stats.bytes_received,
+            pages_wanted: stats.pages_wanted,
+            pages_in_flight: stats.pages_in_flight,
+            pages_resident: stats.pages_resident,
+            bound_px: stats.bound_px.is_finite().then_some(stats.bound_px),
+            update_ms: stats.update_ms,
+            draw_ms: None,
+        };
+        let last = frame + 1 == flight.frames();
+        if let (Some(painter), Some(folder)) = (&mut painter, &options.pictures)
+            && (frame.is_multiple_of(options.every) || last)
+        {
+            let started = Instant::now();
+            let image = painter.paint(&driver.client, view, options.wireframe)?;
+            report.draw_ms = Some(started.elapsed().as_secs_f64() * 1e3);
+            save(&image, &folder.join(format!("frame-{frame:05}.png")))?;
+        }
+        serde_json::to_writer(&mut *out, &report)?;
+        writeln!(out)?;
+        reports.push(report);
+    }
+    Ok(reports)
+}
+
+/// Keeps to the clock; the network goes on meanwhile in its own thread.
+fn wait_until(driver: &Driver, when: Duration) {
+    while let Some(left) = when.checked_sub(driver.now()).filter(|left| !left.is_zero()) {
+        std::thread::sleep(left);
+    }
+}
+
+/// Writes a picture.
+///
+/// # Errors
+/// If the file cannot be written.
+pub fn save(image: &RgbaImage, path: &Path) -> Result<()> {
+    image.save(path).with_context(|| format!("cannot write {}", path.display()))
+}

@@ -1,0 +1,81 @@
+//! `escarp-client fly`.
+
+use super::arguments::ServerArgs;
+use crate::app::headless::{Driver, FlyOptions, FrameReport, fly};
+use crate::flight::{Path as Flight, default_path};
+use anyhow::{Context, Result};
+use clap::Args;
+use std::io::{BufWriter, Write};
+use std::path::PathBuf;
+use std::time::Duration;
+
+#[derive(Debug, Args)]
+pub(super) struct FlyArgs {
+    #[command(flatten)]
+    server: ServerArgs,
+    /// Path to fly, JSON; default: from the overview down to a low flight
+    #[arg(long, value_name = "FILE.json")]
+    path: Option<PathBuf>,
+    /// Folder for pictures; none are made without it
+    #[arg(short, long, value_name = "DIR")]
+    output: Option<PathBuf>,
+    /// A picture every N frames, and of the last one
+    #[arg(long, default_value_t = 30, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    every: u64,
+    /// Wait at each frame until it is within the tolerance, instead of keeping to the clock
+    #[arg(long)]
+    settle: bool,
+    /// Draw the triangles' edges
+    #[arg(long)]
+    wireframe: bool,
+    /// Longest wait for the server, seconds
+    #[arg(long, default_value_t = 30, value_name = "S")]
+    wait: u64,
+}
+
+pub(super) fn run(args: &FlyArgs) -> Result<()> {
+    let flight = args.path.as_ref().map(read_path).transpose()?;
+    let mut driver = Driver::new(args.server.open());
+    let manifest = driver.connect(Duration::from_secs(args.wait))?;
+    let flight = flight.unwrap_or_else(|| default_path(&manifest));
+    let options = FlyOptions {
+        pictures: args.output.clone(),
+        every: args.every,
+        settle: args.settle,
+        wireframe: args.wireframe,
+    };
+    let mut out = BufWriter::new(std::io::stdout().lock());
+    let frames = fly(&mut driver, &manifest, &flight, &options, &mut out)?;
+    out.flush()?;
+    summarise(&frames, flight.view(0.0).max_screen_error_px);
+    Ok(())
+}
+
+fn read_path(path: &PathBuf) -> Result<Flight> {
+    let json = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
+    Flight::from_json(&json).with_context(|| format!("{} is no flight", path.display()))
+}
+
+/// A few lines for people, beside the lines for programs.
+fn summarise(frames: &[FrameReport], error_px: f32) {
+    let Some(last) = frames.last() else {
+        return;
+    };
+    let median = |mut values: Vec<f64>| {
+        values.sort_unstable_by(f64::total_cmp);
+        values.get(values.len() / 2).copied().unwrap_or(0.0)
+    };
+    let update_ms = median(frames.iter().map(|frame| f64::from(frame.update_ms)).collect());
+    let slowest_ms = frames.iter().map(|frame| frame.update_ms).fold(0.0, f32::max);
+    let triangles = frames.iter().map(|frame| frame.triangles).max().unwrap_or(0);
+    let within = frames.iter().filter(|f| f.bound_px.is_some_and(|px| px <= f64::from(error_px)));
+    let first = frames.iter().find(|f| f.bound_px.is_some_and(|px| px <= f64::from(error_px)));
+    eprintln!("{} frames, {:.1} s", frames.len(), last.time_s);
+    eprintln!("at most {triangles} triangles; {:.3} MB received", last.bytes as f64 / 1e6);
+    eprintln!("update: median {update_ms:.2} ms, longest {slowest_ms:.2} ms a frame");
+    match first {
+        Some(first) => eprintln!("within {error_px} px from {:.2} s on the path", first.time_s),
+        None => eprintln!("never within {error_px} px"),
+    }
+    eprintln!("{} of {} frames within {error_px} px", within.count(), frames.len());
+}

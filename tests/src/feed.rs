@@ -1,0 +1,56 @@
+//! A feed of pages without a network: what the mesh tree wishes for, it gets.
+
+use escarp_client::mesh::{MeshTree, UpdateStats, Wish};
+use escarp_proto::page::{Page, RecordHeader};
+use escarp_proto::view::View;
+use escarp_tiles::dataset::Dataset;
+
+/// A mesh tree over a dataset.
+pub struct Feed<'a> {
+    /// The tree.
+    pub tree: MeshTree,
+    dataset: &'a Dataset,
+}
+
+impl<'a> Feed<'a> {
+    /// A tree without pages.
+    pub fn new(dataset: &'a Dataset) -> Self {
+        let manifest = dataset.manifest();
+        Feed {
+            tree: MeshTree::new(manifest.grid_levels, manifest.georef.clone()),
+            dataset,
+        }
+    }
+
+    /// Links what one wish is for, whether or not it was wished; `false` if it no longer fits.
+    ///
+    /// # Panics
+    /// If the dataset has no such page: the tree must not wish for one.
+    pub fn grant(&mut self, wish: &Wish) -> bool {
+        let finest = self.dataset.grid().is_finest(wish.page);
+        let record = self.dataset.record(wish.page).expect("checksums match");
+        let record = record.unwrap_or_else(|| panic!("no record for {}", wish.page));
+        let header = RecordHeader::read(wish.page, finest, record.bytes).expect("a header");
+        let bytes = header.part_bytes(0, wish.parts).expect("parts that exist");
+        let page = Page::decode(wish.page, finest, wish.parts, &record.bytes[bytes]);
+        self.tree.link(page.expect("the record decodes")).is_ok()
+    }
+
+    /// Updates until nothing is wished for.
+    ///
+    /// # Panics
+    /// If that does not come to an end.
+    pub fn converge(&mut self, view: &View) -> UpdateStats {
+        for _ in 0..200 {
+            let stats = self.tree.update(view);
+            let wishes = self.tree.wishes();
+            if wishes.is_empty() {
+                return stats;
+            }
+            for wish in wishes {
+                self.grant(&wish);
+            }
+        }
+        panic!("the mesh wishes on without end: {:?}", self.tree.wishes());
+    }
+}

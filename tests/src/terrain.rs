@@ -1,0 +1,176 @@
+//! Datasets made from functions.
+
+use escarp_proto::geometry::PageId;
+use escarp_tiles::build::{BuildOptions, Quantum, build};
+use escarp_tiles::dataset::{Dataset, PageReader};
+use escarp_tiles::dem::{
+    Crs, DemError, DemInfo, DemSource, Placement, Registration, SampleType,
+};
+use std::path::{Path, PathBuf};
+use tempfile::TempDir;
+
+/// Heights of a grid from a function of column and row, row 0 the northern one; NaN is a hole.
+pub struct FunctionSource<F> {
+    info: DemInfo,
+    height: F,
+}
+
+impl<F: Fn(u32, u32) -> f64 + Send> FunctionSource<F> {
+    /// `width` x `height` samples, 10 m apart, stored in whole metres.
+    pub fn new(width: u32, height: u32, heights: F) -> Self {
+        let spacing = 10.0;
+        let info = DemInfo {
+            path: PathBuf::from("function"),
+            format: "function",
+            width,
+            height,
+            placement: Placement {
+                x0: 1000.0,
+                y0: 2000.0 + f64::from(height - 1) * spacing,
+                dx: spacing,
+                dy: spacing,
+            },
+            crs: Crs::Projected {
+                name: "EPSG:32632".into(),
+                metres_per_unit: 1.0,
+            },
+            registration: Registration::Grid,
+            sample_type: SampleType::I32,
+            height_step_m: 1.0,
+            nodata: None,
+        };
+        FunctionSource {
+            info,
+            height: heights,
+        }
+    }
+}
+
+impl<F: Fn(u32, u32) -> f64 + Send> DemSource for FunctionSource<F> {
+    fn info(&self) -> &DemInfo {
+        &self.info
+    }
+
+    fn read_rows(&mut self, first_row: u32, rows: u32, out: &mut [f64]) -> Result<(), DemError> {
+        for (i, out) in out.iter_mut().enumerate().take((rows * self.info.width) as usize) {
+            let (column, row) = (i as u32 % self.info.width, i as u32 / self.info.width);
+            *out = (self.height)(column, first_row + row);
+        }
+        Ok(())
+    }
+}
+
+/// A dataset in a folder that goes with it.
+pub struct TempDataset {
+    /// The open dataset.
+    pub dataset: Dataset,
+    /// Heights in quanta by grid `x` and `y`; `None` is a hole.
+    pub samples: Vec<Option<i32>>,
+    _folder: TempDir,
+}
+
+impl TempDataset {
+    /// Builds a dataset from a function, as [`FunctionSource`] has it.
+    ///
+    /// # Panics
+    /// If it cannot be built.
+    pub fn of(width: u32, height: u32, heights: impl Fn(u32, u32) -> f64 + Send) -> TempDataset {
+        let mut source = FunctionSource::new(width, height, heights);
+        Self::build(&mut source)
+    }
+
+    /// Builds a dataset from a source.
+    ///
+    /// # Panics
+    /// If it cannot be built.
+    pub fn build(source: &mut dyn DemSource) -> TempDataset {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let path = folder.path().join("test.escarp");
+        build_at(&path, source);
+        let dataset = Dataset::open(&path).expect("the dataset opens");
+        let samples = read_samples(&dataset);
+        TempDataset {
+            dataset,
+            samples,
+            _folder: folder,
+        }
+    }
+
+    /// Sample at grid `x`, `y`; beyond the data there are holes.
+    pub fn sample(&self, x: u32, y: u32) -> Option<i32> {
+        let [width, height] = self.dataset.manifest().samples;
+        if x >= width || y >= height {
+            return None;
+        }
+        self.samples[y as usize * width as usize + x as usize]
+    }
+}
+
+/// Builds a dataset in a folder, replacing what is there.
+///
+/// # Panics
+/// If it cannot be built.
+pub fn build_at(path: &Path, source: &mut dyn DemSource) {
+    let options = BuildOptions {
+        quantum: Quantum::Natural,
+        overwrite: true,
+    };
+    build(source, path, vec!["test".into()], options, &|_, _| {}).expect("the dataset builds");
+}
+
+/// All samples of a dataset, row by row from the south.
+///
+/// # Panics
+/// If the dataset is damaged.
+pub fn read_samples(dataset: &Dataset) -> Vec<Option<i32>> {
+    let [width, height] = dataset.manifest().samples;
+    let mut samples = vec![None; width as usize * height as usize];
+    let mut reader = PageReader::new(dataset);
+    let level = dataset.grid().finest_page_level();
+    for row in 0..(height - 1).div_ceil(16).max(1) {
+        assert!(PageId::new(level, 0, row).is_some());
+        let rows = reader.page_row(row).expect("the pages decode");
+        for (i, sample) in rows.into_iter().enumerate() {
+            let at = row as usize * 16 * width as usize + i;
+            if let (Some(to), Some(_)) = (samples.get_mut(at), sample) {
+                *to = sample;
+            }
+        }
+    }
+    samples
+}
+
+/// Hills with detail at every scale, metres, deterministic.
+pub fn hills(column: u32, row: u32) -> f64 {
+    let (x, y) = (f64::from(column), f64::from(row));
+    let wave = |k: f64, a: f64, p: f64| a * ((x * k + p).sin() * (y * k * 0.9 - p).cos());
+    let noise = f64::from(hash(column, row) % 7);
+    (wave(0.013, 300.0, 0.3) + wave(0.071, 60.0, 1.1) + wave(0.31, 12.0, 2.0) + noise).round()
+}
+
+/// A number that looks random.
+pub fn hash(a: u32, b: u32) -> u32 {
+    let mut h = a.wrapping_mul(0x9e37_79b1) ^ b.wrapping_mul(0x85eb_ca77);
+    h = (h ^ (h >> 15)).wrapping_mul(0x2c1b_3c6d);
+    h = (h ^ (h >> 12)).wrapping_mul(0x297a_2d39);
+    h ^ (h >> 15)
+}
+
+/// Hills with a lake's hole, a ragged border and lone samples.
+pub fn holed_hills(column: u32, row: u32) -> f64 {
+    let (dx, dy) = (f64::from(column) - 90.0, f64::from(row) - 70.0);
+    let ragged = hash(row / 3, 5) % 9;
+    let in_hole = dx * dx + dy * dy * 2.0 < 900.0 || column < ragged;
+    let speck = hash(column, row).is_multiple_of(97);
+    if in_hole != speck { f64::NAN } else { hills(column, row) }
+}
+
+/// A plain with a cliff that follows no axis.
+pub fn cliff(column: u32, row: u32) -> f64 {
+    if column * 3 + row * 5 < 700 { 10.0 } else { 1200.0 }
+}
+
+/// Flat but for one spike.
+pub fn spike(column: u32, row: u32) -> f64 {
+    if (column, row) == (101, 67) { 1e9 } else { 3.0 }
+}

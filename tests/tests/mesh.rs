@@ -1,0 +1,160 @@
+//! The mesh tree over real datasets: cracks, bounds, history.
+
+use escarp_client::mesh::MeshTree;
+use escarp_proto::view::View;
+use escarp_tests::feed::Feed;
+use escarp_tests::measure::{check_cracks, measure};
+use escarp_tests::terrain::{TempDataset, cliff, hash, hills, holed_hills, spike};
+
+const SIZE: (u32, u32) = (230, 190);
+
+fn view(eye_m: [f64; 3], look_m: [f64; 3], error_px: f32) -> View {
+    View {
+        eye_m,
+        direction: std::array::from_fn(|i| (look_m[i] - eye_m[i]) as f32),
+        velocity_m_s: [0.0; 3],
+        fov_y: 1.0,
+        viewport_px: [1280, 720],
+        max_screen_error_px: error_px,
+    }
+}
+
+fn terrains() -> Vec<(&'static str, TempDataset)> {
+    let (w, h) = SIZE;
+    vec![
+        ("hills", TempDataset::of(w, h, hills)),
+        ("holed hills", TempDataset::of(w, h, holed_hills)),
+        ("cliff", TempDataset::of(w, h, cliff)),
+        ("spike", TempDataset::of(w, h, spike)),
+        ("flat", TempDataset::of(w, h, |_, _| 12.0)),
+        ("noise", TempDataset::of(w, h, |x, y| f64::from(hash(x, y) % 4000))),
+    ]
+}
+
+/// Eyes in the valley, inside a box, above, far away, outside the data.
+fn views(error_px: f32) -> Vec<View> {
+    let middle = [2100.0, 2900.0, 0.0];
+    [
+        [2100.0, 2900.0, 60.0],
+        [1003.0, 2001.0, 400.0],
+        [1500.0, 2500.0, 2000.0],
+        [-4000.0, 9000.0, 5000.0],
+        [2000.0, 3000.0, 120_000.0],
+    ]
+    .map(|eye| view(eye, middle, error_px))
+    .to_vec()
+}
+
+#[test]
+fn the_bound_holds_at_every_sample_of_every_terrain_at_1_2_and_8_px() {
+    for (name, data) in &terrains() {
+        for error_px in [1.0, 2.0, 8.0] {
+            for view in views(error_px) {
+                let mut feed = Feed::new(&data.dataset);
+                let stats = feed.converge(&view);
+                assert!(stats.excess <= 1.0, "{name}: {} tolerances", stats.excess);
+                let found = measure(&feed.tree, data, &view, false);
+                assert!(found.largest <= 1.0 + 1e-9, "{name} {error_px} px {view:?}: {found:?}");
+                assert_eq!((found.left_out, found.covered), (0, 0), "{name} {error_px} px {view:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn while_pages_are_missing_there_is_no_crack_and_the_stated_bound_holds() {
+    for (name, data) in &terrains() {
+        let cells = data.dataset.grid().cells_per_side();
+        for (i, view) in views(1.0).into_iter().enumerate() {
+            let mut feed = Feed::new(&data.dataset);
+            for step in 0..400u32 {
+                let stats = feed.tree.update(&view);
+                check_cracks(&feed.tree, cells).unwrap_or_else(|why| panic!("{name}: {why}"));
+                if stats.excess.is_finite() && step % 7 == 0 {
+                    let found = measure(&feed.tree, data, &view, true);
+                    assert!(found.largest <= stats.excess.max(1.0) + 1e-9, "{name}: {found:?} {stats:?}");
+                }
+                let wishes = feed.tree.wishes();
+                if wishes.is_empty() {
+                    break;
+                }
+                // One at a time, in no order.
+                feed.grant(&wishes[hash(step, i as u32) as usize % wishes.len()]);
+            }
+        }
+    }
+}
+
+/// A flight with jumps, pages arriving late and being evicted.
+fn wander(feed: &mut Feed<'_>, name: &str, cells: u32, steps: u32, seed: u32) -> View {
+    let mut last = view([0.0, 0.0, 1e4], [1.0, 1.0, 0.0], 2.0);
+    for step in 0..steps {
+        let random = |n: u32, span: u32| f64::from(hash(step * 16 + n, seed) % span);
+        let eye = match hash(step, seed + 1) % 5 {
+            0 => [random(1, 5000), random(2, 5000), random(3, 3000)],
+            _ => [last.eye_m[0] + random(4, 60) - 30.0, last.eye_m[1] + random(5, 60), last.eye_m[2]],
+        };
+        last = view(eye, [random(6, 4000), random(7, 4000), 0.0], 1.0 + random(8, 4) as f32);
+        feed.tree.update(&last);
+        for wish in feed.tree.wishes().into_iter().take(hash(step, seed + 2) as usize % 40) {
+            feed.grant(&wish);
+        }
+        if hash(step, seed + 3).is_multiple_of(6) {
+            feed.tree.evict(hash(step, seed + 4) as usize % 800_000);
+        }
+        feed.tree.update(&last);
+        check_cracks(&feed.tree, cells).unwrap_or_else(|why| panic!("{name} step {step}: {why}"));
+    }
+    last
+}
+
+#[test]
+fn flags_and_counts_follow_from_view_and_pages_alone_after_any_flight() {
+    for (name, data) in &terrains() {
+        let cells = data.dataset.grid().cells_per_side();
+        for seed in 0..6 {
+            let mut feed = Feed::new(&data.dataset);
+            let last = wander(&mut feed, name, cells, 60, seed * 100);
+            let mut anew = MeshTree::new(data.dataset.grid(), data.dataset.manifest().georef.clone());
+            let mut pages: Vec<_> = feed.tree.pages().cloned().collect();
+            pages.sort_by_key(|page| page.id().key());
+            for page in pages {
+                anew.link(page).unwrap();
+            }
+            anew.update(&last);
+            assert_eq!(feed.tree.flags(), anew.flags(), "{name}, seed {seed}");
+        }
+    }
+}
+
+#[test]
+fn a_vertex_is_enabled_on_both_sides_of_a_border_or_on_none() {
+    let data = TempDataset::of(SIZE.0, SIZE.1, hills);
+    let mut feed = Feed::new(&data.dataset);
+    wander(&mut feed, "hills", data.dataset.grid().cells_per_side(), 40, 9);
+    let flags = feed.tree.flags();
+    let mut borders = 0;
+    for flag in flags.iter().filter(|flag| flag.enabled && flag.sample % 17 == 16) {
+        let Some(east) = flag.page.neighbour(escarp_proto::geometry::Edge::East) else {
+            continue;
+        };
+        let twin = flags.iter().find(|f| f.page == east && f.sample == flag.sample - 16);
+        assert!(twin.is_some_and(|twin| twin.enabled), "{flag:?}");
+        borders += 1;
+    }
+    assert!(borders > 0);
+}
+
+#[test]
+fn a_flat_terrain_needs_few_triangles_and_no_page_but_the_first() {
+    let data = TempDataset::of(257, 257, |_, _| 12.0);
+    let mut feed = Feed::new(&data.dataset);
+    feed.converge(&view([1100.0, 2100.0, 300.0], [2000.0, 3000.0, 0.0], 1.0));
+    let drawn = {
+        let mut drawn = 0;
+        feed.tree.visit_triangles(|triangle| drawn += u32::from(triangle.drawn));
+        drawn
+    };
+    assert!(drawn <= 8, "{drawn} triangles");
+    assert_eq!(data.dataset.manifest().pages, 1);
+}
