@@ -59,7 +59,9 @@ impl RemoteTerrain {
     /// Whether all that can be had for the last view is here.
     pub fn is_settled(&self) -> bool {
         let in_flight = self.link.stats().in_flight_pages;
-        self.terrain.as_ref().is_some_and(|terrain| terrain.wants().is_empty() && in_flight == 0)
+        self.terrain
+            .as_ref()
+            .is_some_and(|terrain| terrain.wants().is_empty() && in_flight == 0)
     }
 
     /// Pages whose bytes were refused since the beginning.
@@ -98,7 +100,9 @@ impl RemoteTerrain {
                         terrain.miss(page);
                     }
                 }
-                Event::Refused { fatal: true, text, .. } => self.refused = Some(text),
+                Event::Refused {
+                    fatal: true, text, ..
+                } => self.refused = Some(text),
                 Event::Refused { .. }
                 | Event::Idle { .. }
                 | Event::GenChange { .. }
@@ -128,7 +132,9 @@ impl RemoteTerrain {
 
 impl TerrainClient for RemoteTerrain {
     fn manifest(&self) -> Option<Arc<Manifest>> {
-        self.terrain.as_ref().map(|terrain| terrain.manifest().clone())
+        self.terrain
+            .as_ref()
+            .map(|terrain| terrain.manifest().clone())
     }
 
     fn step(&mut self, view: &View, now: Duration) -> StepStats {
@@ -155,14 +161,21 @@ impl TerrainClient for RemoteTerrain {
     }
 
     fn visit_pages(&self, visit: &mut dyn FnMut(&PageMesh)) {
-        self.terrain.iter().flat_map(Terrain::meshes).for_each(visit);
+        self.terrain
+            .iter()
+            .flat_map(Terrain::meshes)
+            .for_each(visit);
     }
 
     fn status(&self) -> String {
         if let Some(refused) = &self.refused {
             return refused.clone();
         }
-        let full = if self.last_step.memory_full { ", memory cap reached" } else { "" };
+        let full = if self.last_step.memory_full {
+            ", memory cap reached"
+        } else {
+            ""
+        };
         match self.link.state() {
             LinkState::Waiting { retry_at } => {
                 let seconds = retry_at.saturating_sub(self.now).as_secs_f32().ceil();

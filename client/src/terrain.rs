@@ -111,7 +111,9 @@ impl Terrain {
     }
 
     fn link(&mut self, chunk: &Chunk, step: &mut TerrainStep) {
-        let Some(id) = PageId::from_key(chunk.page).filter(|&id| self.manifest.grid_levels.holds(id)) else {
+        let Some(id) =
+            PageId::from_key(chunk.page).filter(|&id| self.manifest.grid_levels.holds(id))
+        else {
             return;
         };
         match self.decode(id, chunk).and_then(|page| self.tree.link(page)) {
@@ -130,7 +132,10 @@ impl Terrain {
         if chunk.first_part == 0 {
             return Ok(Page::decode(id, finest, chunk.last_part, &chunk.bytes)?);
         }
-        let resident = self.tree.page(id).filter(|page| page.parts() + 1 == chunk.first_part);
+        let resident = self
+            .tree
+            .page(id)
+            .filter(|page| page.parts() + 1 == chunk.first_part);
         let mut page = resident.ok_or(LinkError::Orphan(id))?.clone();
         page.extend(chunk.last_part, &chunk.bytes)?;
         Ok(page)

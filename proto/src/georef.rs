@@ -94,12 +94,21 @@ impl Georef {
     /// # Errors
     /// What is wrong, for a field that is not finite, or a spacing or quantum that is not positive.
     pub fn check(&self) -> Result<(), String> {
-        let positive = [self.sample_spacing_m[0], self.sample_spacing_m[1], self.quantum_m];
+        let positive = [
+            self.sample_spacing_m[0],
+            self.sample_spacing_m[1],
+            self.quantum_m,
+        ];
         if !positive.iter().all(|v| v.is_normal() && *v > 0.0) {
-            return Err(format!("spacing or quantum {positive:?}, allowed are positive numbers"));
+            return Err(format!(
+                "spacing or quantum {positive:?}, allowed are positive numbers"
+            ));
         }
         if !self.origin_m.iter().all(|v| v.is_finite()) {
-            return Err(format!("origin {:?}, allowed are finite numbers", self.origin_m));
+            return Err(format!(
+                "origin {:?}, allowed are finite numbers",
+                self.origin_m
+            ));
         }
         Ok(())
     }

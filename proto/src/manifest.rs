@@ -89,11 +89,16 @@ impl Manifest {
     fn check(&self) -> Result<(), String> {
         if self.format != FORMAT || self.version != VERSION {
             let (format, version) = (&self.format, self.version);
-            return Err(format!("format {format} {version}, allowed is {FORMAT} {VERSION}"));
+            return Err(format!(
+                "format {format} {version}, allowed is {FORMAT} {VERSION}"
+            ));
         }
         let most = self.grid_levels.cells_per_side() + 1;
         if self.samples.iter().any(|&n| n == 0 || n > most) {
-            return Err(format!("{:?} samples, allowed are 1..={most}", self.samples));
+            return Err(format!(
+                "{:?} samples, allowed are 1..={most}",
+                self.samples
+            ));
         }
         if let Some([lo, hi]) = self.height_range
             && (lo > hi || lo < -MAX_HEIGHT || hi > MAX_HEIGHT)

@@ -68,7 +68,11 @@ impl View {
             );
         }
         if !self.velocity_m_s.iter().all(|v| v.is_finite()) {
-            return error("velocity", format!("{:?}", self.velocity_m_s), "finite".into());
+            return error(
+                "velocity",
+                format!("{:?}", self.velocity_m_s),
+                "finite".into(),
+            );
         }
         let [least, most] = FIELDS_OF_VIEW;
         if !(least..=most).contains(&self.fov_y) {
@@ -76,14 +80,22 @@ impl View {
             return error("field of view", self.fov_y.to_string(), allowed);
         }
         let [least, most] = VIEWPORT_PX;
-        if !self.viewport_px.iter().all(|px| (least..=most).contains(px)) {
+        if !self
+            .viewport_px
+            .iter()
+            .all(|px| (least..=most).contains(px))
+        {
             let allowed = format!("{least}..={most} px a side");
             return error("viewport", format!("{:?}", self.viewport_px), allowed);
         }
         let [least, most] = SCREEN_ERRORS_PX;
         if !(least..=most).contains(&self.max_screen_error_px) {
             let allowed = format!("{least}..={most} px");
-            return error("max_screen_error_px", self.max_screen_error_px.to_string(), allowed);
+            return error(
+                "max_screen_error_px",
+                self.max_screen_error_px.to_string(),
+                allowed,
+            );
         }
         Ok(())
     }
@@ -174,8 +186,14 @@ mod tests {
         assert_eq!(broken(|v| v.velocity_m_s[2] = f32::NAN), "velocity");
         assert_eq!(broken(|v| v.fov_y = 0.0), "field of view");
         assert_eq!(broken(|v| v.viewport_px[0] = 0), "viewport");
-        assert_eq!(broken(|v| v.max_screen_error_px = 0.0), "max_screen_error_px");
-        assert_eq!(broken(|v| v.max_screen_error_px = f32::NAN), "max_screen_error_px");
+        assert_eq!(
+            broken(|v| v.max_screen_error_px = 0.0),
+            "max_screen_error_px"
+        );
+        assert_eq!(
+            broken(|v| v.max_screen_error_px = f32::NAN),
+            "max_screen_error_px"
+        );
     }
 
     #[test]

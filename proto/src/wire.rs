@@ -300,7 +300,11 @@ impl ClientMessage {
         match &message {
             ClientMessage::Hello(hello) => {
                 at_most("dataset name", hello.dataset.len(), MAX_TEXT)?;
-                at_most("token", hello.token.as_ref().map_or(0, String::len), MAX_TEXT)?;
+                at_most(
+                    "token",
+                    hello.token.as_ref().map_or(0, String::len),
+                    MAX_TEXT,
+                )?;
             }
             ClientMessage::Want(list) => at_most("Want list", list.len(), MAX_LIST)?,
             ClientMessage::Have(list) => at_most("Have list", list.len(), MAX_LIST)?,

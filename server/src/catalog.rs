@@ -58,14 +58,20 @@ impl Catalog {
     /// The dataset that a Hello means: by its name or, if that is empty, the only one.
     pub fn meant(&self, name: &str) -> Option<(&str, &Arc<dyn PageSource>)> {
         let named = self.sources.get_key_value(name);
-        let only = || self.sources.first_key_value().filter(|_| self.sources.len() == 1);
+        let only = || {
+            self.sources
+                .first_key_value()
+                .filter(|_| self.sources.len() == 1)
+        };
         let (name, source) = if name.is_empty() { only() } else { named }?;
         Some((name, source))
     }
 
     /// All, sorted by name.
     pub fn iter(&self) -> impl Iterator<Item = (&str, &Arc<dyn PageSource>)> {
-        self.sources.iter().map(|(name, source)| (name.as_str(), source))
+        self.sources
+            .iter()
+            .map(|(name, source)| (name.as_str(), source))
     }
 
     /// The names, sorted.
@@ -100,20 +106,36 @@ mod tests {
 
     #[test]
     fn an_empty_name_means_the_only_dataset() {
-        assert_eq!(catalog(&["moon"]).meant("").map(|found| found.0), Some("moon"));
+        assert_eq!(
+            catalog(&["moon"]).meant("").map(|found| found.0),
+            Some("moon")
+        );
         assert!(catalog(&["moon", "mars"]).meant("").is_none());
         assert!(catalog(&[]).meant("").is_none());
-        assert_eq!(catalog(&["moon", "mars"]).meant("mars").map(|found| found.0), Some("mars"));
+        assert_eq!(
+            catalog(&["moon", "mars"])
+                .meant("mars")
+                .map(|found| found.0),
+            Some("mars")
+        );
     }
 
     #[test]
     fn a_name_is_added_once_and_only_if_it_can_stand_in_an_address() {
         let mut catalog = catalog(&["moon"]);
         let add = |catalog: &mut Catalog, name: &str| catalog.add(name, FakeSource::shared());
-        assert_eq!(add(&mut catalog, "moon"), Err(CatalogError::Twice("moon".into())));
+        assert_eq!(
+            add(&mut catalog, "moon"),
+            Err(CatalogError::Twice("moon".into()))
+        );
         let long = "n".repeat(MAX_NAME + 1);
-        for name in ["", "a/b", "session", "datasets", "healthz", "..", "a\nb", &long] {
-            assert_eq!(add(&mut catalog, name), Err(CatalogError::Name(name.into())));
+        for name in [
+            "", "a/b", "session", "datasets", "healthz", "..", "a\nb", &long,
+        ] {
+            assert_eq!(
+                add(&mut catalog, name),
+                Err(CatalogError::Name(name.into()))
+            );
         }
     }
 

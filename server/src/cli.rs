@@ -52,13 +52,20 @@ Exit codes: 0 ended by a signal; 1 a dataset could not be opened, or the address
 /// Runs the server until a signal ends it.
 pub fn run(cli: &Cli) -> ExitCode {
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info"));
-    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
+    tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(std::io::stderr)
+        .init();
     match host(cli) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("error: {error:#}");
             let usage = error.downcast_ref::<CatalogError>().is_some();
-            if usage { ExitCode::from(USAGE) } else { ExitCode::FAILURE }
+            if usage {
+                ExitCode::from(USAGE)
+            } else {
+                ExitCode::FAILURE
+            }
         }
     }
 }
@@ -76,12 +83,17 @@ fn host(cli: &Cli) -> Result<()> {
         .context("starting threads")?;
     runtime.block_on(async {
         let listener = TcpListener::bind(&cli.listen).await.with_context(|| {
-            format!("listening on {}; choose another address with --listen", cli.listen)
+            format!(
+                "listening on {}; choose another address with --listen",
+                cli.listen
+            )
         })?;
         // Before anyone can know that the server is there, it can be told to go.
         let signal = signal()?;
         announce(&catalog, listener.local_addr()?)?;
-        serve(listener, catalog, limits, signal).await.context("serving")
+        serve(listener, catalog, limits, signal)
+            .await
+            .context("serving")
     })
 }
 

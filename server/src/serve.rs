@@ -75,7 +75,8 @@ impl Connections {
             match listener.accept().await {
                 Ok((stream, peer)) => {
                     let span = tracing::info_span!("connection", %peer);
-                    self.tasks.spawn(self.connection(stream, place).instrument(span));
+                    self.tasks
+                        .spawn(self.connection(stream, place).instrument(span));
                 }
                 Err(error) => {
                     tracing::warn!(%error, "a connection was not accepted");
@@ -101,7 +102,9 @@ impl Connections {
             let _ = stream.set_nodelay(true);
             let stream = TokioIo::new(StallGuard::new(stream, limits.send_timeout));
             let service = TowerToHyperService::new(router);
-            let served = builder(&limits).serve_connection(stream, service).with_upgrades();
+            let served = builder(&limits)
+                .serve_connection(stream, service)
+                .with_upgrades();
             tokio::pin!(served);
             let result = tokio::select! {
                 result = &mut served => result,
@@ -122,7 +125,10 @@ impl Connections {
             sessions.ended().await;
             while self.tasks.join_next().await.is_some() {}
         };
-        if tokio::time::timeout(self.limits.drain_timeout, ended).await.is_err() {
+        if tokio::time::timeout(self.limits.drain_timeout, ended)
+            .await
+            .is_err()
+        {
             tracing::warn!(within = ?self.limits.drain_timeout, "connections did not end");
         }
     }

@@ -27,7 +27,10 @@ pub fn check_cracks(tree: &MeshTree, cells_per_side: u32) -> Result<usize, Strin
     for triangle in &triangles {
         let [a, b, c] = triangle.corners.map(|(x, y, _)| (x, y));
         let d = |p: (u32, u32), q: (u32, u32)| {
-            (i128::from(q.0) - i128::from(p.0), i128::from(q.1) - i128::from(p.1))
+            (
+                i128::from(q.0) - i128::from(p.0),
+                i128::from(q.1) - i128::from(p.1),
+            )
         };
         let (u, v) = (d(a, b), d(a, c));
         let twice = u.0 * v.1 - u.1 * v.0;
@@ -50,14 +53,23 @@ pub fn check_cracks(tree: &MeshTree, cells_per_side: u32) -> Result<usize, Strin
     }
     let side = i128::from(cells_per_side);
     if !triangles.is_empty() && area != 2 * side * side {
-        return Err(format!("the triangles cover {area} half cells of {}", 2 * side * side));
+        return Err(format!(
+            "the triangles cover {area} half cells of {}",
+            2 * side * side
+        ));
     }
     for ((p, q), seen) in edges {
         let border = |w: u32| w == 0 || w == cells_per_side;
         let on_border = (p.0 == q.0 && border(p.0)) || (p.1 == q.1 && border(p.1));
-        let right = if on_border { seen == 1 || seen == 16 } else { seen == 17 };
+        let right = if on_border {
+            seen == 1 || seen == 16
+        } else {
+            seen == 17
+        };
         if !right {
-            return Err(format!("edge {p:?} to {q:?} is seen {seen} (1 forward, 16 backward)"));
+            return Err(format!(
+                "edge {p:?} to {q:?} is seen {seen} (1 forward, 16 backward)"
+            ));
         }
     }
     Ok(triangles.len())
@@ -140,10 +152,12 @@ fn is_on_surface(data: &TempDataset, x: u32, y: u32) -> bool {
         let place = (x.checked_add_signed(dx), y.checked_add_signed(dy));
         matches!(place, (Some(x), Some(y)) if data.sample(x, y).is_some())
     };
-    [(1, 1), (-1, 1), (-1, -1), (1, -1)].into_iter().any(|(dx, dy)| match (x + y) % 2 {
-        0 => valid(dx, dy) && (valid(dx, 0) || valid(0, dy)),
-        _ => valid(dx, 0) && valid(0, dy),
-    })
+    [(1, 1), (-1, 1), (-1, -1), (1, -1)]
+        .into_iter()
+        .any(|(dx, dy)| match (x + y) % 2 {
+            0 => valid(dx, dy) && (valid(dx, 0) || valid(0, dy)),
+            _ => valid(dx, 0) && valid(0, dy),
+        })
 }
 
 /// Half the diagonal of the square that a triangle comes from, at least: half its longest side.
@@ -151,7 +165,10 @@ fn is_on_surface(data: &TempDataset, x: u32, y: u32) -> bool {
 fn size_m(triangle: &SurfaceTriangle, georef: &Georef) -> f64 {
     let [a, b, c] = triangle.corners;
     let side = |p: (u32, u32, i32), q: (u32, u32, i32)| {
-        let (dx, dy) = (f64::from(p.0) - f64::from(q.0), f64::from(p.1) - f64::from(q.1));
+        let (dx, dy) = (
+            f64::from(p.0) - f64::from(q.0),
+            f64::from(p.1) - f64::from(q.1),
+        );
         (dx * georef.sample_spacing_m[0]).hypot(dy * georef.sample_spacing_m[1])
     };
     let cells = |p: (u32, u32, i32), q: (u32, u32, i32)| p.0.abs_diff(q.0).max(p.1.abs_diff(q.1));
@@ -163,13 +180,19 @@ fn size_m(triangle: &SurfaceTriangle, georef: &Georef) -> f64 {
 
 /// Height of a triangle's plane at a grid point; `None` outside.
 fn plane_height(triangle: &SurfaceTriangle, x: u32, y: u32) -> Option<f64> {
-    let [a, b, c] = triangle.corners.map(|(x, y, z)| (i128::from(x), i128::from(y), i128::from(z)));
+    let [a, b, c] = triangle
+        .corners
+        .map(|(x, y, z)| (i128::from(x), i128::from(y), i128::from(z)));
     let p = (i128::from(x), i128::from(y));
     let area = |a: (i128, i128), b: (i128, i128), c: (i128, i128)| {
         (b.0 - a.0) * (c.1 - a.1) - (b.1 - a.1) * (c.0 - a.0)
     };
     let at = |v: (i128, i128, i128)| (v.0, v.1);
-    let (wa, wb, wc) = (area(at(b), at(c), p), area(at(c), at(a), p), area(at(a), at(b), p));
+    let (wa, wb, wc) = (
+        area(at(b), at(c), p),
+        area(at(c), at(a), p),
+        area(at(a), at(b), p),
+    );
     if wa < 0 || wb < 0 || wc < 0 {
         return None;
     }

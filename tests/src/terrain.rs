@@ -3,9 +3,7 @@
 use escarp_proto::geometry::PageId;
 use escarp_tiles::build::{BuildOptions, Quantum, build};
 use escarp_tiles::dataset::{Dataset, PageReader};
-use escarp_tiles::dem::{
-    Crs, DemError, DemInfo, DemSource, Placement, Registration, SampleType,
-};
+use escarp_tiles::dem::{Crs, DemError, DemInfo, DemSource, Placement, Registration, SampleType};
 use std::path::{Path, PathBuf};
 use tempfile::TempDir;
 
@@ -52,7 +50,11 @@ impl<F: Fn(u32, u32) -> f64 + Send> DemSource for FunctionSource<F> {
     }
 
     fn read_rows(&mut self, first_row: u32, rows: u32, out: &mut [f64]) -> Result<(), DemError> {
-        for (i, out) in out.iter_mut().enumerate().take((rows * self.info.width) as usize) {
+        for (i, out) in out
+            .iter_mut()
+            .enumerate()
+            .take((rows * self.info.width) as usize)
+        {
             let (column, row) = (i as u32 % self.info.width, i as u32 / self.info.width);
             *out = (self.height)(column, first_row + row);
         }
@@ -162,12 +164,20 @@ pub fn holed_hills(column: u32, row: u32) -> f64 {
     let ragged = hash(row / 3, 5) % 9;
     let in_hole = dx * dx + dy * dy * 2.0 < 900.0 || column < ragged;
     let speck = hash(column, row).is_multiple_of(97);
-    if in_hole != speck { f64::NAN } else { hills(column, row) }
+    if in_hole != speck {
+        f64::NAN
+    } else {
+        hills(column, row)
+    }
 }
 
 /// A plain with a cliff that follows no axis.
 pub fn cliff(column: u32, row: u32) -> f64 {
-    if column * 3 + row * 5 < 700 { 10.0 } else { 1200.0 }
+    if column * 3 + row * 5 < 700 {
+        10.0
+    } else {
+        1200.0
+    }
 }
 
 /// Flat but for one spike.

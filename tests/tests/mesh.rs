@@ -27,7 +27,10 @@ fn terrains() -> Vec<(&'static str, TempDataset)> {
         ("cliff", TempDataset::of(w, h, cliff)),
         ("spike", TempDataset::of(w, h, spike)),
         ("flat", TempDataset::of(w, h, |_, _| 12.0)),
-        ("noise", TempDataset::of(w, h, |x, y| f64::from(hash(x, y) % 4000))),
+        (
+            "noise",
+            TempDataset::of(w, h, |x, y| f64::from(hash(x, y) % 4000)),
+        ),
     ]
 }
 
@@ -54,8 +57,15 @@ fn the_bound_holds_at_every_sample_of_every_terrain_at_1_2_and_8_px() {
                 let stats = feed.converge(&view);
                 assert!(stats.excess <= 1.0, "{name}: {} tolerances", stats.excess);
                 let found = measure(&feed.tree, data, &view, false);
-                assert!(found.largest <= 1.0 + 1e-9, "{name} {error_px} px {view:?}: {found:?}");
-                assert_eq!((found.left_out, found.covered), (0, 0), "{name} {error_px} px {view:?}");
+                assert!(
+                    found.largest <= 1.0 + 1e-9,
+                    "{name} {error_px} px {view:?}: {found:?}"
+                );
+                assert_eq!(
+                    (found.left_out, found.covered),
+                    (0, 0),
+                    "{name} {error_px} px {view:?}"
+                );
             }
         }
     }
@@ -72,7 +82,10 @@ fn while_pages_are_missing_there_is_no_crack_and_the_stated_bound_holds() {
                 check_cracks(&feed.tree, cells).unwrap_or_else(|why| panic!("{name}: {why}"));
                 if stats.excess.is_finite() && step % 7 == 0 {
                     let found = measure(&feed.tree, data, &view, true);
-                    assert!(found.largest <= stats.excess.max(1.0) + 1e-9, "{name}: {found:?} {stats:?}");
+                    assert!(
+                        found.largest <= stats.excess.max(1.0) + 1e-9,
+                        "{name}: {found:?} {stats:?}"
+                    );
                 }
                 let wishes = feed.tree.wishes();
                 if wishes.is_empty() {
@@ -92,11 +105,24 @@ fn wander(feed: &mut Feed<'_>, name: &str, cells: u32, steps: u32, seed: u32) ->
         let random = |n: u32, span: u32| f64::from(hash(step * 16 + n, seed) % span);
         let eye = match hash(step, seed + 1) % 5 {
             0 => [random(1, 5000), random(2, 5000), random(3, 3000)],
-            _ => [last.eye_m[0] + random(4, 60) - 30.0, last.eye_m[1] + random(5, 60), last.eye_m[2]],
+            _ => [
+                last.eye_m[0] + random(4, 60) - 30.0,
+                last.eye_m[1] + random(5, 60),
+                last.eye_m[2],
+            ],
         };
-        last = view(eye, [random(6, 4000), random(7, 4000), 0.0], 1.0 + random(8, 4) as f32);
+        last = view(
+            eye,
+            [random(6, 4000), random(7, 4000), 0.0],
+            1.0 + random(8, 4) as f32,
+        );
         feed.tree.update(&last);
-        for wish in feed.tree.wishes().into_iter().take(hash(step, seed + 2) as usize % 40) {
+        for wish in feed
+            .tree
+            .wishes()
+            .into_iter()
+            .take(hash(step, seed + 2) as usize % 40)
+        {
             feed.grant(&wish);
         }
         if hash(step, seed + 3).is_multiple_of(6) {
@@ -115,7 +141,8 @@ fn flags_and_counts_follow_from_view_and_pages_alone_after_any_flight() {
         for seed in 0..6 {
             let mut feed = Feed::new(&data.dataset);
             let last = wander(&mut feed, name, cells, 60, seed * 100);
-            let mut anew = MeshTree::new(data.dataset.grid(), data.dataset.manifest().georef.clone());
+            let mut anew =
+                MeshTree::new(data.dataset.grid(), data.dataset.manifest().georef.clone());
             let mut pages: Vec<_> = feed.tree.pages().cloned().collect();
             pages.sort_by_key(|page| page.id().key());
             for page in pages {
@@ -131,14 +158,25 @@ fn flags_and_counts_follow_from_view_and_pages_alone_after_any_flight() {
 fn a_vertex_is_enabled_on_both_sides_of_a_border_or_on_none() {
     let data = TempDataset::of(SIZE.0, SIZE.1, hills);
     let mut feed = Feed::new(&data.dataset);
-    wander(&mut feed, "hills", data.dataset.grid().cells_per_side(), 40, 9);
+    wander(
+        &mut feed,
+        "hills",
+        data.dataset.grid().cells_per_side(),
+        40,
+        9,
+    );
     let flags = feed.tree.flags();
     let mut borders = 0;
-    for flag in flags.iter().filter(|flag| flag.enabled && flag.sample % 17 == 16) {
+    for flag in flags
+        .iter()
+        .filter(|flag| flag.enabled && flag.sample % 17 == 16)
+    {
         let Some(east) = flag.page.neighbour(escarp_proto::geometry::Edge::East) else {
             continue;
         };
-        let twin = flags.iter().find(|f| f.page == east && f.sample == flag.sample - 16);
+        let twin = flags
+            .iter()
+            .find(|f| f.page == east && f.sample == flag.sample - 16);
         assert!(twin.is_some_and(|twin| twin.enabled), "{flag:?}");
         borders += 1;
     }
@@ -152,7 +190,8 @@ fn a_flat_terrain_needs_few_triangles_and_no_page_but_the_first() {
     feed.converge(&view([1100.0, 2100.0, 300.0], [2000.0, 3000.0, 0.0], 1.0));
     let drawn = {
         let mut drawn = 0;
-        feed.tree.visit_triangles(|triangle| drawn += u32::from(triangle.drawn));
+        feed.tree
+            .visit_triangles(|triangle| drawn += u32::from(triangle.drawn));
         drawn
     };
     assert!(drawn <= 8, "{drawn} triangles");

@@ -68,7 +68,11 @@ impl Driver {
                 bail!(failure);
             }
             if self.now() > wait {
-                bail!("no answer within {} s: {}", wait.as_secs(), self.client.status());
+                bail!(
+                    "no answer within {} s: {}",
+                    wait.as_secs(),
+                    self.client.status()
+                );
             }
             self.nap(NAP);
         }
@@ -113,7 +117,12 @@ impl Painter {
     pub fn new(manifest: &Manifest, size_px: [u32; 2]) -> Result<Painter> {
         let gpu = Gpu::headless()?;
         let target = Headless::new(&gpu, size_px, 4)?;
-        let scene = Scene::new(&gpu, &manifest.georef, manifest.height_range, target.output());
+        let scene = Scene::new(
+            &gpu,
+            &manifest.georef,
+            manifest.height_range,
+            target.output(),
+        );
         Ok(Painter { scene, target })
     }
 
@@ -121,7 +130,12 @@ impl Painter {
     ///
     /// # Errors
     /// If the device is lost.
-    pub fn paint(&mut self, client: &impl TerrainClient, view: View, wireframe: bool) -> Result<RgbaImage> {
+    pub fn paint(
+        &mut self,
+        client: &impl TerrainClient,
+        view: View,
+        wireframe: bool,
+    ) -> Result<RgbaImage> {
         let mut sync = self.scene.begin_sync();
         client.visit_pages(&mut |mesh| sync.keep(mesh));
         sync.end();
@@ -236,7 +250,10 @@ pub fn fly(
 
 /// Keeps to the clock; the network goes on meanwhile in its own thread.
 fn wait_until(driver: &Driver, when: Duration) {
-    while let Some(left) = when.checked_sub(driver.now()).filter(|left| !left.is_zero()) {
+    while let Some(left) = when
+        .checked_sub(driver.now())
+        .filter(|left| !left.is_zero())
+    {
         std::thread::sleep(left);
     }
 }
@@ -246,5 +263,7 @@ fn wait_until(driver: &Driver, when: Duration) {
 /// # Errors
 /// If the file cannot be written.
 pub fn save(image: &RgbaImage, path: &Path) -> Result<()> {
-    image.save(path).with_context(|| format!("cannot write {}", path.display()))
+    image
+        .save(path)
+        .with_context(|| format!("cannot write {}", path.display()))
 }

@@ -19,11 +19,18 @@ impl FromStr for Position {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let wrong = || format!("{text:?} is no position; write X,Y,Z in metres, such as 500,-1200,800");
-        let numbers: Vec<f64> =
-            text.split(',').map(|part| part.trim().parse().map_err(|_| wrong())).collect::<Result<_, _>>()?;
+        let wrong =
+            || format!("{text:?} is no position; write X,Y,Z in metres, such as 500,-1200,800");
+        let numbers: Vec<f64> = text
+            .split(',')
+            .map(|part| part.trim().parse().map_err(|_| wrong()))
+            .collect::<Result<_, _>>()?;
         let position: [f64; 3] = numbers.try_into().map_err(|_| wrong())?;
-        if position.iter().all(|v| v.is_finite()) { Ok(Position(position)) } else { Err(wrong()) }
+        if position.iter().all(|v| v.is_finite()) {
+            Ok(Position(position))
+        } else {
+            Err(wrong())
+        }
     }
 }
 
@@ -35,10 +42,15 @@ impl FromStr for Size {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let wrong = || format!("{text:?} is no size; write WxH in pixels, 1x1 to 8192x8192, such as 1280x720");
+        let wrong = || {
+            format!("{text:?} is no size; write WxH in pixels, 1x1 to 8192x8192, such as 1280x720")
+        };
         let (width, height) = text.split_once('x').ok_or_else(wrong)?;
         let side = |text: &str| text.parse().ok().filter(|side| (1..=8192).contains(side));
-        Ok(Size([side(width).ok_or_else(wrong)?, side(height).ok_or_else(wrong)?]))
+        Ok(Size([
+            side(width).ok_or_else(wrong)?,
+            side(height).ok_or_else(wrong)?,
+        ]))
     }
 }
 
@@ -99,7 +111,10 @@ impl LookArgs {
     pub(super) fn resolve(&self, manifest: &Manifest) -> ([f64; 3], [f64; 3]) {
         let [width, height] = self.size.0;
         let (eye, look) = overview(manifest, FOV_Y, f64::from(width) / f64::from(height));
-        (self.eye.map_or(eye, |p| p.0), self.look.map_or(look, |p| p.0))
+        (
+            self.eye.map_or(eye, |p| p.0),
+            self.look.map_or(look, |p| p.0),
+        )
     }
 }
 

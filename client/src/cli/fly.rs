@@ -65,17 +65,43 @@ fn summarise(frames: &[FrameReport], error_px: f32) {
         values.sort_unstable_by(f64::total_cmp);
         values.get(values.len() / 2).copied().unwrap_or(0.0)
     };
-    let update_ms = median(frames.iter().map(|frame| f64::from(frame.update_ms)).collect());
-    let slowest_ms = frames.iter().map(|frame| frame.update_ms).fold(0.0, f32::max);
-    let triangles = frames.iter().map(|frame| frame.triangles).max().unwrap_or(0);
-    let within = frames.iter().filter(|f| f.bound_px.is_some_and(|px| px <= f64::from(error_px)));
-    let first = frames.iter().find(|f| f.bound_px.is_some_and(|px| px <= f64::from(error_px)));
+    let update_ms = median(
+        frames
+            .iter()
+            .map(|frame| f64::from(frame.update_ms))
+            .collect(),
+    );
+    let slowest_ms = frames
+        .iter()
+        .map(|frame| frame.update_ms)
+        .fold(0.0, f32::max);
+    let triangles = frames
+        .iter()
+        .map(|frame| frame.triangles)
+        .max()
+        .unwrap_or(0);
+    let within = frames
+        .iter()
+        .filter(|f| f.bound_px.is_some_and(|px| px <= f64::from(error_px)));
+    let first = frames
+        .iter()
+        .find(|f| f.bound_px.is_some_and(|px| px <= f64::from(error_px)));
     eprintln!("{} frames, {:.1} s", frames.len(), last.time_s);
-    eprintln!("at most {triangles} triangles; {:.3} MB received", last.bytes as f64 / 1e6);
+    eprintln!(
+        "at most {triangles} triangles; {:.3} MB received",
+        last.bytes as f64 / 1e6
+    );
     eprintln!("update: median {update_ms:.2} ms, longest {slowest_ms:.2} ms a frame");
     match first {
-        Some(first) => eprintln!("within {error_px} px from {:.2} s on the path", first.time_s),
+        Some(first) => eprintln!(
+            "within {error_px} px from {:.2} s on the path",
+            first.time_s
+        ),
         None => eprintln!("never within {error_px} px"),
     }
-    eprintln!("{} of {} frames within {error_px} px", within.count(), frames.len());
+    eprintln!(
+        "{} of {} frames within {error_px} px",
+        within.count(),
+        frames.len()
+    );
 }

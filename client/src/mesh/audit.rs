@@ -58,14 +58,20 @@ impl MeshTree {
             let [x, y] = node.mesh.origin;
             self.leaves(index, &mut |leaf| {
                 let corners = leaf.corners.map(|corner| {
-                    let (column, row) = (corner as usize % PAGE_SAMPLES, corner as usize / PAGE_SAMPLES);
+                    let (column, row) = (
+                        corner as usize % PAGE_SAMPLES,
+                        corner as usize / PAGE_SAMPLES,
+                    );
                     (
                         x + column as u32 * node.mesh.stride,
                         y + row as u32 * node.mesh.stride,
                         node.page.height(corner as usize),
                     )
                 });
-                let valid = leaf.corners.iter().all(|&corner| node.page.is_valid(corner as usize));
+                let valid = leaf
+                    .corners
+                    .iter()
+                    .all(|&corner| node.page.is_valid(corner as usize));
                 let drawn = valid && leaf.kind != escarp_proto::page::Kind::Empty;
                 visit(SurfaceTriangle { corners, drawn });
             });

@@ -24,9 +24,7 @@ impl Frustum {
         let up = cross(right, forward);
         let tan_y = (f64::from(view.fov_y) / 2.0).tan();
         let tan_x = tan_y * f64::from(view.viewport_px[0]) / f64::from(view.viewport_px[1]);
-        let side = |axis: [f64; 3], tan: f64| {
-            std::array::from_fn(|i| forward[i] * tan - axis[i])
-        };
+        let side = |axis: [f64; 3], tan: f64| std::array::from_fn(|i| forward[i] * tan - axis[i]);
         let negative = |v: [f64; 3]| v.map(|c| -c);
         Frustum {
             eye_m: view.eye_m,
@@ -43,7 +41,11 @@ impl Frustum {
     pub fn may_see(&self, region: &WorldBox) -> bool {
         self.sides.iter().all(|normal| {
             let farthest = |i: usize| {
-                let corner = if normal[i] > 0.0 { region.max[i] } else { region.min[i] };
+                let corner = if normal[i] > 0.0 {
+                    region.max[i]
+                } else {
+                    region.min[i]
+                };
                 (corner - self.eye_m[i]) * normal[i]
             };
             let reach: f64 = (0..3).map(farthest).sum();

@@ -181,7 +181,10 @@ mod tests {
                     assert_eq!(border(sample), None);
                 }
                 Role::Edge(sides) => {
-                    assert_eq!(sides.iter().flatten().count() == 1, border(sample).is_some());
+                    assert_eq!(
+                        sides.iter().flatten().count() == 1,
+                        border(sample).is_some()
+                    );
                     for (square, edge) in sides.into_iter().flatten() {
                         assert_eq!(square.edge(edge), sample);
                         assert_eq!(part_of(sample), square.level + 1);

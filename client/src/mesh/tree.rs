@@ -103,13 +103,20 @@ impl MeshTree {
     /// The triangles of all pages that have any.
     pub fn meshes(&self) -> impl Iterator<Item = &PageMesh> {
         let nodes = self.nodes.iter().flatten();
-        nodes.map(|node| &node.mesh).filter(|mesh| !mesh.indices.is_empty())
+        nodes
+            .map(|node| &node.mesh)
+            .filter(|mesh| !mesh.indices.is_empty())
     }
 
     /// Memory that the pages take, bytes, near enough for a cap.
     pub fn memory_bytes(&self) -> usize {
-        const NODE: usize = 2 * PAGE_AREA * size_of::<i32>() + PAGE_AREA * size_of::<VertexState>() + 9000;
-        self.resident() * NODE + self.meshes().map(|mesh| mesh.indices.capacity() * 2).sum::<usize>()
+        const NODE: usize =
+            2 * PAGE_AREA * size_of::<i32>() + PAGE_AREA * size_of::<VertexState>() + 9000;
+        self.resident() * NODE
+            + self
+                .meshes()
+                .map(|mesh| mesh.indices.capacity() * 2)
+                .sum::<usize>()
     }
 
     pub(super) fn node(&self, index: Index) -> &Node {
@@ -147,7 +154,9 @@ impl MeshTree {
             self.node_mut(parent).children.push((slot, index));
         }
         for edge in Edge::ALL {
-            let neighbour = id.neighbour(edge).and_then(|id| self.by_id.get(&id).copied());
+            let neighbour = id
+                .neighbour(edge)
+                .and_then(|id| self.by_id.get(&id).copied());
             self.node_mut(index).neighbours[edge as usize] = neighbour;
             if let Some(neighbour) = neighbour {
                 let node = self.node_mut(neighbour);
@@ -159,7 +168,12 @@ impl MeshTree {
         Ok(())
     }
 
-    fn new_node(&self, page: Page, parent: Option<(Index, Slot)>, promise: Option<BoxError>) -> Node {
+    fn new_node(
+        &self,
+        page: Page,
+        parent: Option<(Index, Slot)>,
+        promise: Option<BoxError>,
+    ) -> Node {
         let id = page.id();
         let (x, y) = self.grid.page_origin(id);
         let stride = self.grid.page_stride(id);
@@ -244,7 +258,9 @@ impl MeshTree {
                 .nodes
                 .iter()
                 .flatten()
-                .filter(|node| node.enabled == 0 && node.children.is_empty() && node.parent.is_some())
+                .filter(|node| {
+                    node.enabled == 0 && node.children.is_empty() && node.parent.is_some()
+                })
                 .map(|node| (node.last_use, node.page.id()))
                 .collect();
             idle.sort_unstable();
@@ -270,7 +286,9 @@ impl MeshTree {
         };
         self.free.push(index);
         if let Some((parent, _)) = node.parent {
-            self.node_mut(parent).children.retain(|&(_, child)| child != index);
+            self.node_mut(parent)
+                .children
+                .retain(|&(_, child)| child != index);
         }
         for edge in Edge::ALL {
             if let Some(neighbour) = node.neighbours[edge as usize] {
@@ -285,6 +303,9 @@ impl MeshTree {
     /// The resident child in a slot.
     pub(super) fn child(&self, index: Index, slot: Slot) -> Option<Index> {
         let children = &self.node(index).children;
-        children.iter().find(|(own, _)| *own == slot).map(|&(_, child)| child)
+        children
+            .iter()
+            .find(|(own, _)| *own == slot)
+            .map(|&(_, child)| child)
     }
 }

@@ -40,7 +40,10 @@ impl MeshTree {
         let page = &self.node(index).page;
         self.leaves(index, &mut |leaf| {
             let drawn = leaf.kind != Kind::Empty
-                && leaf.corners.iter().all(|&corner| page.is_valid(corner as usize));
+                && leaf
+                    .corners
+                    .iter()
+                    .all(|&corner| page.is_valid(corner as usize));
             if drawn {
                 indices.extend(leaf.corners);
             }
@@ -75,10 +78,15 @@ impl MeshTree {
                 continue;
             }
             let [first, last] = PageSquare::end_quadrants(edge);
-            for (quadrant, corners) in [(first, [centre, from, middle]), (last, [centre, middle, to])] {
+            for (quadrant, corners) in [
+                (first, [centre, from, middle]),
+                (last, [centre, middle, to]),
+            ] {
                 let child = square.child(quadrant);
                 let below = self.square_below(index, child);
-                if below.is_some_and(|(page, square)| self.is_enabled((page, square.centre() as u16))) {
+                if below
+                    .is_some_and(|(page, square)| self.is_enabled((page, square.centre() as u16)))
+                {
                     continue;
                 }
                 let (column, row) = (child.column as usize, child.row as usize);
@@ -101,7 +109,13 @@ impl MeshTree {
     /// Heights and normals of the samples that have arrived.
     fn place_vertices(&mut self, index: Index) {
         let mut vertices = std::mem::take(&mut self.node_mut(index).mesh.vertices);
-        vertices.resize(PAGE_AREA, Vertex { height: 0, normal: [0, 0, 127, 0] });
+        vertices.resize(
+            PAGE_AREA,
+            Vertex {
+                height: 0,
+                normal: [0, 0, 127, 0],
+            },
+        );
         let step = level_step(self.node(index).page.depth());
         for y in (0..PAGE_SAMPLES).step_by(step) {
             for x in (0..PAGE_SAMPLES).step_by(step) {
@@ -131,15 +145,27 @@ impl MeshTree {
             rise * self.georef.quantum_m / (f64::from(cells.max(1)) * spacing_m)
         };
         let cells = f64::from(node.mesh.stride) * step as f64;
-        let [dx, dy] = self.georef.sample_spacing_m.map(|spacing_m| spacing_m * cells);
-        let (east, north) = (slope(Edge::West, Edge::East, dx), slope(Edge::South, Edge::North, dy));
+        let [dx, dy] = self
+            .georef
+            .sample_spacing_m
+            .map(|spacing_m| spacing_m * cells);
+        let (east, north) = (
+            slope(Edge::West, Edge::East, dx),
+            slope(Edge::South, Edge::North, dy),
+        );
         let length = (east * east + north * north + 1.0).sqrt();
         let byte = |v: f64| (v / length * 127.0).round() as i8;
         [byte(-east), byte(-north), byte(1.0), 0]
     }
 
     /// Height of the sample a step towards an edge; `None` if it is a hole or not resident.
-    fn sample_towards(&self, index: Index, (x, y): (usize, usize), edge: Edge, step: usize) -> Option<i32> {
+    fn sample_towards(
+        &self,
+        index: Index,
+        (x, y): (usize, usize),
+        edge: Edge,
+        step: usize,
+    ) -> Option<i32> {
         let (dx, dy) = edge.step();
         let beyond = |w: usize, d: i32| w as i32 + d * step as i32;
         let (x, y) = (beyond(x, dx), beyond(y, dy));
@@ -147,7 +173,11 @@ impl MeshTree {
         let inside = (0..=side).contains(&x) && (0..=side).contains(&y);
         let (index, x, y) = match inside {
             true => (index, x, y),
-            false => (self.node(index).neighbours[edge as usize]?, x - dx * side, y - dy * side),
+            false => (
+                self.node(index).neighbours[edge as usize]?,
+                x - dx * side,
+                y - dy * side,
+            ),
         };
         let page = &self.node(index).page;
         let sample = y as usize * PAGE_SAMPLES + x as usize;

@@ -110,7 +110,12 @@ impl MeshTree {
         let half_diagonal_m = pass.half_diagonals_m[usize::from(page_level + level)];
         for edge in Edge::ALL {
             let at = edge as usize;
-            let error_m = error_m(errors.edges[at], errors.kinds[at], pass.quantum_m, half_diagonal_m);
+            let error_m = error_m(
+                errors.edges[at],
+                errors.kinds[at],
+                pass.quantum_m,
+                half_diagonal_m,
+            );
             let region = edge_box(self.node(index), square, edge, errors.range, pass.quantum_m);
             let vertex = (index, square.edge(edge) as u16);
             let fails = pass.tests.fails(error_m, &region);
@@ -129,8 +134,16 @@ impl MeshTree {
         }
     }
 
-    fn visit_quadrant(&mut self, pass: &mut Pass, index: Index, square: PageSquare, quadrant: Quadrant) {
-        let corners = quadrant.edges().map(|edge| (index, square.edge(edge) as u16));
+    fn visit_quadrant(
+        &mut self,
+        pass: &mut Pass,
+        index: Index,
+        square: PageSquare,
+        quadrant: Quadrant,
+    ) {
+        let corners = quadrant
+            .edges()
+            .map(|edge| (index, square.edge(edge) as u16));
         if !corners.into_iter().any(|corner| self.is_enabled(corner)) {
             return;
         }
@@ -166,7 +179,11 @@ impl MeshTree {
     }
 
     /// A square by its parent's page: in that page, or the root of a resident child page.
-    pub(super) fn square_below(&self, index: Index, child: PageSquare) -> Option<(Index, PageSquare)> {
+    pub(super) fn square_below(
+        &self,
+        index: Index,
+        child: PageSquare,
+    ) -> Option<(Index, PageSquare)> {
         if child.level < 4 {
             return Some((index, child));
         }
@@ -213,7 +230,13 @@ fn edge_box(node: &Node, square: PageSquare, edge: Edge, range: Range, quantum_m
     world_box(node, xs, ys, range, quantum_m)
 }
 
-fn child_box(node: &Node, square: PageSquare, quadrant: Quadrant, range: Range, quantum_m: f64) -> WorldBox {
+fn child_box(
+    node: &Node,
+    square: PageSquare,
+    quadrant: Quadrant,
+    range: Range,
+    quantum_m: f64,
+) -> WorldBox {
     let half = square.side() / 2;
     let (dx, dy) = quadrant.offset();
     let x = square.column as usize * square.side() + dx as usize * half;

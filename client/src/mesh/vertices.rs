@@ -118,14 +118,19 @@ impl MeshTree {
                 }
             },
         };
-        quadrant.edges().map(|edge| Some((page, above.edge(edge) as u16)))
+        quadrant
+            .edges()
+            .map(|edge| Some((page, above.edge(edge) as u16)))
     }
 
     /// Whether the parts that hold a vertex are resident, here and across the border.
     fn has_data(&self, vertex: VertexRef) -> bool {
         let part = part_of(vertex.1 as usize);
         let has = |index: Index| self.node(index).page.depth() >= part;
-        has(vertex.0) && self.mirror(vertex).is_none_or(|(neighbour, _)| has(neighbour))
+        has(vertex.0)
+            && self
+                .mirror(vertex)
+                .is_none_or(|(neighbour, _)| has(neighbour))
     }
 
     /// Whether anything holds the vertex enabled.
@@ -208,7 +213,11 @@ impl MeshTree {
         for (index, sample) in [Some(vertex), self.mirror(vertex)].into_iter().flatten() {
             let node = self.node_mut(index);
             node.vertices[sample as usize].enabled = enabled;
-            node.enabled = if enabled { node.enabled + 1 } else { node.enabled - 1 };
+            node.enabled = if enabled {
+                node.enabled + 1
+            } else {
+                node.enabled - 1
+            };
             node.stale_triangles = true;
             let parent = node.parent;
             if let Some((parent, _)) = parent

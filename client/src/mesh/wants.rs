@@ -28,7 +28,11 @@ impl Wish {
     pub fn to_want(&self) -> Want {
         Want {
             page: self.page.key(),
-            first_part: if self.resident == 0 { 0 } else { self.resident + 1 },
+            first_part: if self.resident == 0 {
+                0
+            } else {
+                self.resident + 1
+            },
             last_part: self.parts,
             class: self.class,
             priority: self.excess.min(f64::from(f32::MAX)) as f32,

@@ -311,10 +311,7 @@ impl Grid {
         let (level, column, row) = square;
         let side = ((self.side - 1) >> level) as i64;
         let half = side / 2;
-        let centre = (
-            column as i64 * side + half,
-            row as i64 * side + half,
-        );
+        let centre = (column as i64 * side + half, row as i64 * side + half);
         let place = |u: i64, v: i64| match edge {
             Edge::East => (centre.0 + v, centre.1 + u),
             Edge::North => (centre.0 + u, centre.1 + v),
@@ -360,7 +357,12 @@ impl Grid {
         let side = (self.side - 1) >> level;
         let south_west = row * side * self.side + column * side;
         let height = |u: usize, v: usize| self.heights[south_west + v * self.side + u];
-        let corners = [height(0, 0), height(side, 0), height(0, side), height(side, side)];
+        let corners = [
+            height(0, 0),
+            height(side, 0),
+            height(0, side),
+            height(side, side),
+        ];
         let deviation = |u: usize, v: usize| {
             let plane = two_triangles(corners, rises, (u as i64, v as i64), side as i64);
             (side as i64 * height(u, v) - plane).unsigned_abs()

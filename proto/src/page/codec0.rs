@@ -16,12 +16,7 @@ use crate::err8::Err8;
 use crate::geometry::{PAGE_LEVELS, PAGE_SAMPLES, PAGE_SLOTS, PageId};
 
 /// The page's corners: south-west, south-east, north-west, north-east.
-const CORNERS: [usize; 4] = [
-    0,
-    PAGE_SAMPLES - 1,
-    PAGE_AREA - PAGE_SAMPLES,
-    PAGE_AREA - 1,
-];
+const CORNERS: [usize; 4] = [0, PAGE_SAMPLES - 1, PAGE_AREA - PAGE_SAMPLES, PAGE_AREA - 1];
 
 pub(super) fn check_height(page: PageId, height: i64) -> Result<i32, PageError> {
     if height.unsigned_abs() <= MAX_HEIGHT as u64 {
@@ -74,7 +69,11 @@ fn prediction(heights: &[i32; PAGE_AREA], level: u8, column: usize, row: usize) 
 
 /// What stands before the first valid corner.
 fn corner_start(page: &Page) -> i32 {
-    if page.range.is_empty() { 0 } else { page.range.lo }
+    if page.range.is_empty() {
+        0
+    } else {
+        page.range.lo
+    }
 }
 
 /// Gives every hole the height that decoding would give it.
@@ -99,7 +98,9 @@ pub(super) fn fill_holes(page: &mut Page) {
 
 /// Encodes a whole page.
 pub(super) fn encode(page: &Page) -> Vec<u8> {
-    let parts: Vec<Vec<u8>> = (1..=page.last_part()).map(|part| encode_part(page, part)).collect();
+    let parts: Vec<Vec<u8>> = (1..=page.last_part())
+        .map(|part| encode_part(page, part))
+        .collect();
     let mut out = vec![if page.has_holes() { HOLES } else { 0 }];
     for part in &parts {
         put_varint(part.len() as u64, &mut out);
@@ -283,7 +284,11 @@ impl Page {
 
     fn decode_slots(&mut self, reader: &mut Reader<'_>) -> Result<(), PageError> {
         let kinds = match self.has_holes() {
-            true => Some(reader.take(PAGE_SLOTS / 4).ok_or(self.short("slot kinds"))?),
+            true => Some(
+                reader
+                    .take(PAGE_SLOTS / 4)
+                    .ok_or(self.short("slot kinds"))?,
+            ),
             false => None,
         };
         let mut slots = Box::new([ChildSlot::Empty; PAGE_SLOTS]);

@@ -292,7 +292,10 @@ impl Page {
     }
 
     fn slot_kinds(&self) -> impl Iterator<Item = Kind> + '_ {
-        self.slots.iter().flat_map(|slots| slots.iter()).map(|slot| slot.kind())
+        self.slots
+            .iter()
+            .flat_map(|slots| slots.iter())
+            .map(|slot| slot.kind())
     }
 
     /// The page's identity.

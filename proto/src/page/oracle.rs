@@ -26,7 +26,11 @@ impl Triangle {
         for y in 0..PAGE_SAMPLES {
             for x in 0..PAGE_SAMPLES {
                 let p = (x, y);
-                let w = [Self::side(b, c, p), Self::side(c, a, p), Self::side(a, b, p)];
+                let w = [
+                    Self::side(b, c, p),
+                    Self::side(c, a, p),
+                    Self::side(a, b, p),
+                ];
                 if w.iter().all(|w| w * area.signum() >= 0) {
                     let plane = w[0] * height(a) + w[1] * height(b) + w[2] * height(c);
                     let scaled = (area * height(p) - plane).unsigned_abs();
@@ -74,12 +78,18 @@ fn page_id() -> PageId {
 }
 
 fn terrain() -> impl Strategy<Value = Samples> {
-    let smooth = (any::<i16>(), any::<i8>(), any::<i8>(), any::<i8>()).prop_map(|(base, a, b, c)| {
-        std::array::from_fn(|i| {
-            let (x, y) = ((i % PAGE_SAMPLES) as i32, (i / PAGE_SAMPLES) as i32);
-            Some(i32::from(base) + i32::from(a) * x + i32::from(b) * y + i32::from(c) * x * y / 7)
-        })
-    });
+    let smooth =
+        (any::<i16>(), any::<i8>(), any::<i8>(), any::<i8>()).prop_map(|(base, a, b, c)| {
+            std::array::from_fn(|i| {
+                let (x, y) = ((i % PAGE_SAMPLES) as i32, (i / PAGE_SAMPLES) as i32);
+                Some(
+                    i32::from(base)
+                        + i32::from(a) * x
+                        + i32::from(b) * y
+                        + i32::from(c) * x * y / 7,
+                )
+            })
+        });
     let noise = prop::collection::vec(-1000..1000i32, PAGE_AREA)
         .prop_map(|v| std::array::from_fn(|i| Some(v[i])));
     let extreme = prop::collection::vec(-MAX_HEIGHT..=MAX_HEIGHT, PAGE_AREA)
@@ -95,7 +105,8 @@ fn terrain() -> impl Strategy<Value = Samples> {
 fn holed() -> impl Strategy<Value = Samples> {
     let mask = prop_oneof![
         prop::collection::vec(any::<bool>(), PAGE_AREA),
-        (0..PAGE_SAMPLES).prop_map(|edge| (0..PAGE_AREA).map(|i| i % PAGE_SAMPLES > edge).collect())
+        (0..PAGE_SAMPLES)
+            .prop_map(|edge| (0..PAGE_AREA).map(|i| i % PAGE_SAMPLES > edge).collect())
     ];
     (terrain(), mask).prop_map(|(samples, mask)| {
         std::array::from_fn(|i| if mask[i] { samples[i] } else { None })
@@ -242,7 +253,8 @@ proptest! {
 
 #[test]
 fn below_a_flat_cell_the_parents_triangles_are_the_surface() {
-    let samples = std::array::from_fn(|i| Some(((i % PAGE_SAMPLES) * 32 + (i / PAGE_SAMPLES) * 16) as i32));
+    let samples =
+        std::array::from_fn(|i| Some(((i % PAGE_SAMPLES) * 32 + (i / PAGE_SAMPLES) * 16) as i32));
     let slots = Box::new([ChildSlot::Full(Err8(0)); PAGE_SLOTS]);
     let parent = Page::new(page_id(), &samples, Some(slots)).unwrap();
     let child = parent.implied_child(Slot::at(3, 5), true).unwrap();
@@ -250,7 +262,10 @@ fn below_a_flat_cell_the_parents_triangles_are_the_surface() {
         let (x, y) = (3 * 16 + i % PAGE_SAMPLES, 5 * 16 + i / PAGE_SAMPLES);
         assert_eq!(child.height(i), (x * 2 + y) as i32);
     }
-    assert_eq!(Bounds::derive(&child, None).slot(), ChildSlot::Full(Err8(0)));
+    assert_eq!(
+        Bounds::derive(&child, None).slot(),
+        ChildSlot::Full(Err8(0))
+    );
 }
 
 #[test]
@@ -259,7 +274,10 @@ fn a_finest_cell_with_three_samples_holds_a_triangle_only_on_the_right_side_of_i
     let without = |hole: usize| {
         let mut samples = [Some(0); PAGE_AREA];
         samples[hole] = None;
-        Page::new(page_id(), &samples, None).unwrap().slot(Slot::at(0, 0)).kind()
+        Page::new(page_id(), &samples, None)
+            .unwrap()
+            .slot(Slot::at(0, 0))
+            .kind()
     };
     assert_eq!(without(0), Kind::Empty);
     assert_eq!(without(1), Kind::Mixed);
@@ -277,13 +295,22 @@ fn heights_beyond_the_limit_are_refused() {
 #[test]
 fn the_worked_example_of_the_format_decodes() {
     let spec = include_str!("../../../tiles/FORMAT.md");
-    let hex = spec.split("```hex").nth(1).and_then(|rest| rest.split("```").next()).unwrap();
-    let mut bytes: Vec<u8> =
-        hex.split_whitespace().map(|byte| u8::from_str_radix(byte, 16).unwrap()).collect();
+    let hex = spec
+        .split("```hex")
+        .nth(1)
+        .and_then(|rest| rest.split("```").next())
+        .unwrap();
+    let mut bytes: Vec<u8> = hex
+        .split_whitespace()
+        .map(|byte| u8::from_str_radix(byte, 16).unwrap())
+        .collect();
     bytes.resize(bytes.len() + 17 + 57 + 209, 0);
     let page = Page::decode(page_id(), true, 4, &bytes).unwrap();
     for i in 0..PAGE_AREA {
-        assert_eq!(page.height(i), (i % PAGE_SAMPLES + 2 * (i / PAGE_SAMPLES)) as i32);
+        assert_eq!(
+            page.height(i),
+            (i % PAGE_SAMPLES + 2 * (i / PAGE_SAMPLES)) as i32
+        );
     }
     assert_eq!(Record::encode(&page).bytes(), bytes);
 }

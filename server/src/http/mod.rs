@@ -47,7 +47,10 @@ async fn welcome(State(app): State<App>, headers: HeaderMap) -> String {
          Datasets:\n"
     );
     for (name, _) in app.catalog.iter() {
-        text += &format!("  http://{host}/{}\n", crate::catalog::percent_encoded(name));
+        text += &format!(
+            "  http://{host}/{}\n",
+            crate::catalog::percent_encoded(name)
+        );
     }
     text
 }
@@ -65,7 +68,10 @@ async fn dataset(
     Path(name): Path<String>,
     headers: HeaderMap,
 ) -> Result<Json<Dataset>, Problem> {
-    let source = app.catalog.get(&name).ok_or_else(|| Problem::no_dataset(&app, &name))?;
+    let source = app
+        .catalog
+        .get(&name)
+        .ok_or_else(|| Problem::no_dataset(&app, &name))?;
     Ok(Json(Dataset::of(&name, source, host(&headers))))
 }
 
@@ -73,8 +79,14 @@ async fn manifest(
     State(app): State<App>,
     Path(name): Path<String>,
 ) -> Result<impl IntoResponse, Problem> {
-    let source = app.catalog.get(&name).ok_or_else(|| Problem::no_dataset(&app, &name))?;
-    let headers = [(header::CONTENT_TYPE, "application/json"), (header::CACHE_CONTROL, "no-cache")];
+    let source = app
+        .catalog
+        .get(&name)
+        .ok_or_else(|| Problem::no_dataset(&app, &name))?;
+    let headers = [
+        (header::CONTENT_TYPE, "application/json"),
+        (header::CACHE_CONTROL, "no-cache"),
+    ];
     Ok((headers, source.manifest_json().to_vec()))
 }
 
@@ -94,6 +106,8 @@ async fn wrong_method(method: Method) -> Response {
 
 /// The server's host and port as the client addressed it.
 fn host(headers: &HeaderMap) -> &str {
-    let host = headers.get(header::HOST).and_then(|host| host.to_str().ok());
+    let host = headers
+        .get(header::HOST)
+        .and_then(|host| host.to_str().ok());
     host.unwrap_or("localhost")
 }

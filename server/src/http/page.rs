@@ -16,7 +16,10 @@ pub(super) async fn page(
     Path((name, level, x, y)): Path<Address>,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
-    let source = app.catalog.get(&name).ok_or_else(|| Problem::no_dataset(&app, &name))?;
+    let source = app
+        .catalog
+        .get(&name)
+        .ok_or_else(|| Problem::no_dataset(&app, &name))?;
     let levels = source.manifest().grid_levels;
     let page = parse(&level, &x, &y)
         .filter(|&page| levels.holds(page))
@@ -24,7 +27,10 @@ pub(super) async fn page(
     let (revision, record) = read(source.clone(), page).await?;
     let tag = format!("\"{revision:08x}\"");
     // The data at this address may be published anew: caches may keep it, but have to ask.
-    let caching = [(header::ETAG, tag.clone()), (header::CACHE_CONTROL, "no-cache".into())];
+    let caching = [
+        (header::ETAG, tag.clone()),
+        (header::CACHE_CONTROL, "no-cache".into()),
+    ];
     if has(&headers, &tag) {
         return Ok((StatusCode::NOT_MODIFIED, caching).into_response());
     }
@@ -38,7 +44,9 @@ fn parse(level: &str, x: &str, y: &str) -> Option<PageId> {
 
 fn no_page(address: &str, levels: GridLevels) -> Problem {
     let finest = levels.finest_page_level();
-    let starts = (0..=finest).step_by(PAGE_LEVELS.into()).map(|level| level.to_string());
+    let starts = (0..=finest)
+        .step_by(PAGE_LEVELS.into())
+        .map(|level| level.to_string());
     Problem {
         status: StatusCode::NOT_FOUND,
         error: format!("`{address}` is no page's level/x/y"),
@@ -57,14 +65,18 @@ async fn read(source: Arc<dyn PageSource>, page: PageId) -> Result<(u32, Vec<u8>
     };
     let internal = |text: String| {
         tracing::warn!(%page, text, "record not sent");
-        Problem::plain(StatusCode::INTERNAL_SERVER_ERROR, format!("page {page}: {text}"))
+        Problem::plain(
+            StatusCode::INTERNAL_SERVER_ERROR,
+            format!("page {page}: {text}"),
+        )
     };
     tokio::task::spawn_blocking(read)
         .await
         .map_err(|error| internal(error.to_string()))?
         .map_err(|error: crate::source::SourceError| internal(error.to_string()))?
         .ok_or_else(|| {
-            let text = format!("no record is stored for page {page}: it is flat, empty, or no data");
+            let text =
+                format!("no record is stored for page {page}: it is flat, empty, or no data");
             Problem::plain(StatusCode::NOT_FOUND, text)
         })
 }
@@ -72,8 +84,11 @@ async fn read(source: Arc<dyn PageSource>, page: PageId) -> Result<(u32, Vec<u8>
 /// Whether the client has the record with this tag (RFC 9110, section 13.1.2: weak comparison).
 fn has(headers: &HeaderMap, tag: &str) -> bool {
     let lists = headers.get_all(header::IF_NONE_MATCH);
-    lists.iter().filter_map(|list| list.to_str().ok()).any(|list| {
-        let mut tags = list.split(',').map(|tag| tag.trim());
-        tags.any(|given| given == "*" || given.strip_prefix("W/").unwrap_or(given) == tag)
-    })
+    lists
+        .iter()
+        .filter_map(|list| list.to_str().ok())
+        .any(|list| {
+            let mut tags = list.split(',').map(|tag| tag.trim());
+            tags.any(|given| given == "*" || given.strip_prefix("W/").unwrap_or(given) == tag)
+        })
 }

@@ -41,7 +41,11 @@ impl CacheModel {
         let joins = |held: &&Held| {
             held.revision == chunk.revision && chunk.first_part <= held.last_part.saturating_add(1)
         };
-        let before = self.pages.get(&page).filter(joins).map(|held| held.last_part);
+        let before = self
+            .pages
+            .get(&page)
+            .filter(joins)
+            .map(|held| held.last_part);
         if chunk.first_part > 0 && before.is_none() {
             return;
         }

@@ -25,7 +25,9 @@ pub(super) fn chunk_of(source: &dyn PageSource, wish: Wish) -> Result<Chunk, Mis
         tracing::warn!(%page, why, "record not sent");
         MissReason::Damaged
     };
-    let record = source.record(page).map_err(|error| damaged(error.to_string()))?;
+    let record = source
+        .record(page)
+        .map_err(|error| damaged(error.to_string()))?;
     let (revision, record) = record.ok_or(MissReason::NotFound)?;
     let finest = source.manifest().grid_levels.is_finest(page);
     let header =
@@ -34,8 +36,12 @@ pub(super) fn chunk_of(source: &dyn PageSource, wish: Wish) -> Result<Chunk, Mis
     if first_part > last_part {
         return Err(MissReason::NotFound);
     }
-    let parts = header.part_bytes(first_part, last_part).ok_or(MissReason::NotFound)?;
-    let bytes = record.get(parts).ok_or_else(|| damaged("record cut short".into()))?;
+    let parts = header
+        .part_bytes(first_part, last_part)
+        .ok_or(MissReason::NotFound)?;
+    let bytes = record
+        .get(parts)
+        .ok_or_else(|| damaged("record cut short".into()))?;
     Ok(Chunk {
         page: page.key(),
         revision,

@@ -114,9 +114,10 @@ impl Session {
                 self.state = State::Open(Box::new(open));
                 Ok(())
             }
-            (State::Opening, _) => {
-                Err(PeerError::new(ErrorCode::Protocol, "the first message must be Hello"))
-            }
+            (State::Opening, _) => Err(PeerError::new(
+                ErrorCode::Protocol,
+                "the first message must be Hello",
+            )),
         }
     }
 
@@ -134,7 +135,10 @@ impl Session {
         };
         let codec = source.manifest().codec;
         if hello.codecs.checked_shr(codec.into()).unwrap_or(0) & 1 == 0 {
-            let text = format!("`{name}` needs codec {codec}, the client has {:#b}", hello.codecs);
+            let text = format!(
+                "`{name}` needs codec {codec}, the client has {:#b}",
+                hello.codecs
+            );
             return Err(PeerError::new(ErrorCode::Version, text));
         }
         Ok(source.clone())
@@ -195,7 +199,11 @@ impl Session {
         let silent = self.heard + self.limits.idle_timeout;
         match &self.state {
             State::Opening => Some(self.limits.hello_timeout),
-            State::Open(open) => Some(open.views.deadline().map_or(silent, |view| view.min(silent))),
+            State::Open(open) => Some(
+                open.views
+                    .deadline()
+                    .map_or(silent, |view| view.min(silent)),
+            ),
             State::Closed { .. } => None,
         }
     }
@@ -249,7 +257,10 @@ impl Session {
     /// Revision and last part of a page that the client has, as far as the server remembers.
     pub fn client_has(&self, page: PageId) -> Option<(u32, u8)> {
         match &self.state {
-            State::Open(open) => open.cache.get(page).map(|held| (held.revision, held.last_part)),
+            State::Open(open) => open
+                .cache
+                .get(page)
+                .map(|held| (held.revision, held.last_part)),
             State::Opening | State::Closed { .. } => None,
         }
     }

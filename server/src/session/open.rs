@@ -67,15 +67,22 @@ impl Open {
     ///
     /// # Errors
     /// What to end the session with.
-    pub(super) fn handle(&mut self, message: ClientMessage, now: Duration) -> Result<(), PeerError> {
+    pub(super) fn handle(
+        &mut self,
+        message: ClientMessage,
+        now: Duration,
+    ) -> Result<(), PeerError> {
         match message {
             ClientMessage::Hello(_) => return Err(protocol("a second Hello")),
             // The session has ended before an Error gets here.
             ClientMessage::Error(_) => {}
             ClientMessage::View { sequence, view } => {
-                view.check().map_err(|error| protocol(format!("View {sequence}: {error}")))?;
+                view.check()
+                    .map_err(|error| protocol(format!("View {sequence}: {error}")))?;
                 if !self.views.receive((sequence, view)) {
-                    return Err(protocol(format!("View {sequence} does not follow its forerunner")));
+                    return Err(protocol(format!(
+                        "View {sequence} does not follow its forerunner"
+                    )));
                 }
                 self.advance(now);
             }
@@ -131,7 +138,9 @@ impl Open {
     fn credit(&mut self, total_bytes: u64) -> Result<(), PeerError> {
         if total_bytes < self.allowed_bytes {
             let had = self.allowed_bytes;
-            return Err(protocol(format!("Credit falls from {had} to {total_bytes} bytes")));
+            return Err(protocol(format!(
+                "Credit falls from {had} to {total_bytes} bytes"
+            )));
         }
         self.allowed_bytes = total_bytes;
         self.stalled = false;

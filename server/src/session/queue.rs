@@ -88,7 +88,11 @@ impl WantQueue {
 
 /// A number that sorts as the priority does. NaN counts as 0, and so does -0.
 fn ordered(priority: f32) -> u32 {
-    let priority = if priority.is_nan() { 0.0 } else { priority + 0.0 };
+    let priority = if priority.is_nan() {
+        0.0
+    } else {
+        priority + 0.0
+    };
     let bits = priority.to_bits();
     let negative = bits >> 31 == 1;
     if negative { !bits } else { bits | 1 << 31 }
@@ -100,8 +104,19 @@ mod tests {
 
     #[test]
     fn priorities_sort_as_numbers_and_nan_is_zero() {
-        let rising = [f32::NEG_INFINITY, -1.0, 0.0, f32::MIN_POSITIVE, 1.0, f32::INFINITY];
-        assert!(rising.windows(2).all(|pair| ordered(pair[0]) < ordered(pair[1])));
+        let rising = [
+            f32::NEG_INFINITY,
+            -1.0,
+            0.0,
+            f32::MIN_POSITIVE,
+            1.0,
+            f32::INFINITY,
+        ];
+        assert!(
+            rising
+                .windows(2)
+                .all(|pair| ordered(pair[0]) < ordered(pair[1]))
+        );
         for zero in [f32::NAN, -f32::NAN, -0.0] {
             assert_eq!(ordered(zero), ordered(0.0));
         }

@@ -177,7 +177,10 @@ impl Driver<'_> {
             Some(Ok(Message::Binary(bytes))) => session.handle_message(&bytes, now),
             Some(Ok(Message::Ping(_) | Message::Pong(_))) => session.handle_sign_of_life(now),
             Some(Ok(Message::Text(_))) => {
-                session.close(ErrorCode::Protocol, "a text message; all messages are binary");
+                session.close(
+                    ErrorCode::Protocol,
+                    "a text message; all messages are binary",
+                );
             }
             Some(Ok(Message::Close(_))) | None => {
                 return Err(End::Lost("the client closed the connection".into()));
@@ -219,7 +222,8 @@ async fn next_message(session: Option<Session>) -> Result<(Session, Option<Vec<u
         let message = session.poll_message();
         (session, message)
     });
-    read.await.map_err(|error| End::Lost(format!("reading records: {error}")))
+    read.await
+        .map_err(|error| End::Lost(format!("reading records: {error}")))
 }
 
 fn lost(error: &axum::Error) -> End {

@@ -58,7 +58,9 @@ impl Sessions {
 
 /// Sessions allowed, within what a semaphore can count.
 fn places(limits: &Limits) -> u32 {
-    u32::try_from(limits.sessions).unwrap_or(u32::MAX).min(u32::MAX >> 4)
+    u32::try_from(limits.sessions)
+        .unwrap_or(u32::MAX)
+        .min(u32::MAX >> 4)
 }
 
 /// `/session`: opens a session, if there is a place.
@@ -75,7 +77,13 @@ pub(crate) async fn upgrade(
     };
     let sessions = app.sessions;
     let serving = *sessions.phase.borrow() == Phase::Serving;
-    let Some(place) = sessions.places.clone().try_acquire_owned().ok().filter(|_| serving) else {
+    let Some(place) = sessions
+        .places
+        .clone()
+        .try_acquire_owned()
+        .ok()
+        .filter(|_| serving)
+    else {
         return busy(&sessions.limits);
     };
     let id = sessions.opened.fetch_add(1, Ordering::Relaxed);
@@ -101,7 +109,10 @@ fn bounded(upgrade: WebSocketUpgrade) -> WebSocketUpgrade {
 }
 
 fn busy(limits: &Limits) -> Response {
-    let error = format!("all {} sessions are taken; try again later", limits.sessions);
+    let error = format!(
+        "all {} sessions are taken; try again later",
+        limits.sessions
+    );
     let problem = Problem::plain(StatusCode::SERVICE_UNAVAILABLE, error);
     ([(header::RETRY_AFTER, "5")], problem).into_response()
 }

@@ -57,7 +57,10 @@ impl FakeSource {
     /// The record of a stored page.
     pub(crate) fn stored(&self, page: PageId) -> Vec<u8> {
         let mut records = self.records.lock().unwrap();
-        records.entry(page).or_insert_with(|| noise(page, &self.manifest)).clone()
+        records
+            .entry(page)
+            .or_insert_with(|| noise(page, &self.manifest))
+            .clone()
     }
 }
 
@@ -89,7 +92,9 @@ fn noise(id: PageId, manifest: &Manifest) -> Vec<u8> {
     let bits = 1 + id.square().y % 16;
     let mut samples = [None; PAGE_AREA];
     for sample in &mut samples {
-        state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+        state = state
+            .wrapping_mul(6364136223846793005)
+            .wrapping_add(1442695040888963407);
         *sample = Some((state >> 40) as i32 & ((1 << bits) - 1));
     }
     let finest = manifest.grid_levels.is_finest(id);

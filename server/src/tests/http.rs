@@ -20,20 +20,24 @@ impl Answer {
 
     fn header(&self, name: &str) -> Option<&str> {
         let mut lines = self.head.lines().filter_map(|line| line.split_once(": "));
-        lines.find(|(key, _)| key.eq_ignore_ascii_case(name)).map(|(_, value)| value)
+        lines
+            .find(|(key, _)| key.eq_ignore_ascii_case(name))
+            .map(|(_, value)| value)
     }
 }
 
 async fn request(server: &Server, method: &str, path: &str, headers: &str) -> Answer {
     let mut stream = TcpStream::connect(server.address).await.unwrap();
     let host = server.address;
-    let text = format!(
-        "{method} {path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n{headers}\r\n"
-    );
+    let text =
+        format!("{method} {path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n{headers}\r\n");
     stream.write_all(text.as_bytes()).await.unwrap();
     let mut bytes = Vec::new();
     stream.read_to_end(&mut bytes).await.unwrap();
-    let end = bytes.windows(4).position(|four| four == b"\r\n\r\n").unwrap();
+    let end = bytes
+        .windows(4)
+        .position(|four| four == b"\r\n\r\n")
+        .unwrap();
     let head = String::from_utf8(bytes[..end].to_vec()).unwrap();
     Answer {
         status: head[9..12].parse().unwrap(),
@@ -61,11 +65,20 @@ async fn the_list_of_datasets_tells_where_and_how_large() {
     let list = get(&server, "/datasets").await.json();
     let fake = &list["datasets"][0];
     assert_eq!(fake["name"], "fake");
-    assert_eq!(fake["session_url"], format!("ws://{}/session", server.address));
+    assert_eq!(
+        fake["session_url"],
+        format!("ws://{}/session", server.address)
+    );
     assert_eq!(fake["samples"], serde_json::json!([4097, 4001]));
     assert_eq!(fake["extent_m"][0], serde_json::json!([0.0, 4096.0 * 30.0]));
-    assert_eq!(fake["native"]["corners"][2], serde_json::json!([122880.0, 120000.0]));
-    assert_eq!((&fake["levels"], &fake["bytes"]), (&12.into(), &1024.into()));
+    assert_eq!(
+        fake["native"]["corners"][2],
+        serde_json::json!([122880.0, 120000.0])
+    );
+    assert_eq!(
+        (&fake["levels"], &fake["bytes"]),
+        (&12.into(), &1024.into())
+    );
     assert_eq!(&get(&server, "/fake").await.json(), fake);
     server.stop().await;
 }
@@ -87,7 +100,10 @@ async fn a_page_comes_whole_and_only_if_the_client_does_not_have_it() {
     let tag = format!("\"{:08x}\"", revision(page, &record));
     let answer = get(&server, "/fake/page/4/3/9").await;
     assert_eq!((answer.status, &answer.body), (200, &record));
-    assert_eq!(answer.header("content-type"), Some("application/octet-stream"));
+    assert_eq!(
+        answer.header("content-type"),
+        Some("application/octet-stream")
+    );
     assert_eq!(answer.header("etag"), Some(tag.as_str()));
     let path = "/fake/page/4/3/9";
     for known in [tag.clone(), format!("\"0\", W/{tag}"), "*".into()] {
@@ -100,19 +116,41 @@ async fn a_page_comes_whole_and_only_if_the_client_does_not_have_it() {
     assert_eq!(other.status, 200);
     let head = request(&server, "HEAD", path, "").await;
     assert_eq!((head.status, head.body.len()), (200, 0));
-    assert_eq!(head.header("content-length"), Some(record.len().to_string().as_str()));
+    assert_eq!(
+        head.header("content-length"),
+        Some(record.len().to_string().as_str())
+    );
     server.stop().await;
 }
 
 #[tokio::test]
 async fn what_is_not_here_is_said_with_what_is() {
     let server = Server::start(Limits::default()).await;
-    for path in ["/mars/manifest", "/mars", "/mars/page/0/0/0", "/fake/nothing", "/a/b/c/d/e/f"] {
+    for path in [
+        "/mars/manifest",
+        "/mars",
+        "/mars/page/0/0/0",
+        "/fake/nothing",
+        "/a/b/c/d/e/f",
+    ] {
         let answer = get(&server, path).await;
         assert_eq!(answer.status, 404, "{path}");
-        assert_eq!(answer.json()["datasets"], serde_json::json!(["fake"]), "{path}");
+        assert_eq!(
+            answer.json()["datasets"],
+            serde_json::json!(["fake"]),
+            "{path}"
+        );
     }
-    let bad = ["3/0/0", "4/16/0", "4/0/16", "12/0/0", "-1/0/0", "4/x/0", "999/0/0", "4/0/4294967296"];
+    let bad = [
+        "3/0/0",
+        "4/16/0",
+        "4/0/16",
+        "12/0/0",
+        "-1/0/0",
+        "4/x/0",
+        "999/0/0",
+        "4/0/4294967296",
+    ];
     for page in bad {
         let answer = get(&server, &format!("/fake/page/{page}")).await;
         assert_eq!(answer.status, 404, "{page}");
@@ -120,7 +158,12 @@ async fn what_is_not_here_is_said_with_what_is() {
     }
     let answer = get(&server, "/fake/page/4/13/0").await;
     assert_eq!(answer.status, 404);
-    assert!(answer.json()["error"].as_str().unwrap().contains("no record is stored"));
+    assert!(
+        answer.json()["error"]
+            .as_str()
+            .unwrap()
+            .contains("no record is stored")
+    );
     assert_eq!(get(&server, "/fake/page/4/14/0").await.status, 500);
     server.stop().await;
 }
@@ -129,10 +172,18 @@ async fn what_is_not_here_is_said_with_what_is() {
 async fn other_methods_and_plain_requests_for_sessions_are_refused_with_reasons() {
     let server = Server::start(Limits::default()).await;
     let answer = request(&server, "POST", "/datasets", "Content-Length: 0\r\n").await;
-    assert_eq!((answer.status, answer.header("allow")), (405, Some("GET, HEAD")));
+    assert_eq!(
+        (answer.status, answer.header("allow")),
+        (405, Some("GET, HEAD"))
+    );
     let answer = get(&server, "/session").await;
     assert!((400..500).contains(&answer.status));
-    assert!(answer.json()["error"].as_str().unwrap().contains("WebSocket"));
+    assert!(
+        answer.json()["error"]
+            .as_str()
+            .unwrap()
+            .contains("WebSocket")
+    );
     server.stop().await;
 }
 

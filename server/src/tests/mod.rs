@@ -57,7 +57,10 @@ impl Server {
     async fn open(&self, credit_bytes: u64) -> Socket {
         let mut socket = self.connect().await;
         say(&mut socket, ClientMessage::Hello(hello(credit_bytes))).await;
-        assert!(matches!(hear(&mut socket).await, Some(ServerMessage::Welcome(_))));
+        assert!(matches!(
+            hear(&mut socket).await,
+            Some(ServerMessage::Welcome(_))
+        ));
         socket
     }
 
@@ -81,14 +84,19 @@ fn hello(credit_bytes: u64) -> Hello {
 }
 
 async fn say(socket: &mut Socket, message: ClientMessage) {
-    socket.send(Message::binary(message.encode())).await.unwrap();
+    socket
+        .send(Message::binary(message.encode()))
+        .await
+        .unwrap();
 }
 
 /// The next message; `None` when the session is over, in whatever way.
 async fn hear(socket: &mut Socket) -> Option<ServerMessage> {
     loop {
         match socket.next().await {
-            Some(Ok(Message::Binary(bytes))) => return Some(ServerMessage::decode(&bytes).unwrap()),
+            Some(Ok(Message::Binary(bytes))) => {
+                return Some(ServerMessage::decode(&bytes).unwrap());
+            }
             Some(Ok(Message::Ping(_) | Message::Pong(_))) => {}
             Some(Ok(Message::Close(_)) | Err(_)) | None => return None,
             Some(Ok(other)) => panic!("{other:?}"),

@@ -101,12 +101,20 @@ async fn rubbish_is_answered_by_an_error() {
         (Message::binary(vec![0xff; 100]), ErrorCode::Protocol),
         (Message::binary(vec![]), ErrorCode::Protocol),
         (Message::text("hello"), ErrorCode::Protocol),
-        (Message::binary(vec![0; MAX_CLIENT_MESSAGE + 1]), ErrorCode::Limit),
+        (
+            Message::binary(vec![0; MAX_CLIENT_MESSAGE + 1]),
+            ErrorCode::Limit,
+        ),
     ];
     for (message, code) in rubbish {
         for mut socket in [server.connect().await, server.open(0).await] {
             socket.send(message.clone()).await.unwrap();
-            assert_eq!(error_code(&mut socket).await, Some(code), "{:?}", message.len());
+            assert_eq!(
+                error_code(&mut socket).await,
+                Some(code),
+                "{:?}",
+                message.len()
+            );
         }
     }
     server.stop().await;

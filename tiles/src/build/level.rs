@@ -55,7 +55,10 @@ impl Slots {
         match self.kinds[at] {
             Kind::Full => ChildSlot::Full(self.errors[at]),
             Kind::Empty => ChildSlot::Empty,
-            Kind::Mixed => self.mixed.get(&at).map_or(ChildSlot::Empty, |&r| ChildSlot::Mixed(r)),
+            Kind::Mixed => self
+                .mixed
+                .get(&at)
+                .map_or(ChildSlot::Empty, |&r| ChildSlot::Mixed(r)),
         }
     }
 }
@@ -122,18 +125,23 @@ impl Band {
     /// and, where the cell's diagonal starts at the sample, two.
     fn is_on_surface(&self, x: usize, y: usize) -> bool {
         let at = |dx: i32, dy: i32| {
-            let place = (x.checked_add_signed(dx as isize), y.checked_add_signed(dy as isize));
+            let place = (
+                x.checked_add_signed(dx as isize),
+                y.checked_add_signed(dy as isize),
+            );
             matches!(place, (Some(x), Some(y)) if self.sample(x, y).is_some())
         };
         let diagonal_starts_here = (x + y).is_multiple_of(2);
-        [(1, 1), (-1, 1), (-1, -1), (1, -1)].into_iter().any(|(dx, dy)| {
-            let (beside, above, across) = (at(dx, 0), at(0, dy), at(dx, dy));
-            if diagonal_starts_here {
-                across && (beside || above)
-            } else {
-                beside && above
-            }
-        })
+        [(1, 1), (-1, 1), (-1, -1), (1, -1)]
+            .into_iter()
+            .any(|(dx, dy)| {
+                let (beside, above, across) = (at(dx, 0), at(0, dy), at(dx, dy));
+                if diagonal_starts_here {
+                    across && (beside || above)
+                } else {
+                    beside && above
+                }
+            })
     }
 
     /// The slot of a page without any valid triangle: nothing is lost, so a page that holds
@@ -144,7 +152,11 @@ impl Band {
             .filter(|&(x, y)| self.sample(x, y).is_some() && !self.is_on_surface(x, y))
             .filter_map(|(x, y)| self.sample(x, y))
             .fold(Range::EMPTY, Range::with);
-        if lone.is_empty() { ChildSlot::Empty } else { ChildSlot::Mixed(lone) }
+        if lone.is_empty() {
+            ChildSlot::Empty
+        } else {
+            ChildSlot::Mixed(lone)
+        }
     }
 }
 
@@ -170,7 +182,12 @@ impl Level {
     /// The level whose samples this one left; `None` above the root.
     pub(super) fn above(&self, left: &Above) -> Option<Level> {
         let level = self.level.checked_sub(PAGE_LEVELS)?;
-        Some(Level::new(self.grid, level, left.width as u32, left.height as u32))
+        Some(Level::new(
+            self.grid,
+            level,
+            left.width as u32,
+            left.height as u32,
+        ))
     }
 
     /// Makes and writes all pages.
@@ -221,7 +238,11 @@ impl Level {
         band.samples.copy_within(..stride, FAMILY_CELLS * stride);
         band.samples[..FAMILY_CELLS * stride].fill(HOLE);
         let is_northern = first + FAMILY_CELLS + 1 >= self.height;
-        let n = if is_northern { self.height - first } else { FAMILY_CELLS };
+        let n = if is_northern {
+            self.height - first
+        } else {
+            FAMILY_CELLS
+        };
         let mut read = vec![HOLE; n * self.width];
         rows.read(first as u32, n as u32, &mut read)?;
         for (row, samples) in read.chunks_exact(self.width).enumerate() {

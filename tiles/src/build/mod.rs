@@ -104,7 +104,10 @@ pub fn build(
         codec: 0,
         pages: 0,
         segments: Vec::new(),
-        index: FileCheck { bytes: 0, crc32c: 0 },
+        index: FileCheck {
+            bytes: 0,
+            crc32c: 0,
+        },
         sources,
     };
     Ok(writer.publish(manifest)?)

@@ -48,7 +48,12 @@ pub(super) fn run(args: &BuildArgs) -> Result<ExitCode> {
         .build_global()
         .context("cannot start the threads")?;
     let mut source = open_all(&args.inputs, &args.input.options())?;
-    let name = |path: &PathBuf| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let name = |path: &PathBuf| {
+        path.file_name()
+            .unwrap_or_default()
+            .to_string_lossy()
+            .into_owned()
+    };
     let options = BuildOptions {
         quantum: match (args.quantum, args.lossless) {
             (Some(metres), _) => Quantum::Metres(metres),
@@ -59,9 +64,15 @@ pub(super) fn run(args: &BuildArgs) -> Result<ExitCode> {
     };
     let progress = Progress::new("building", args.json);
     let sources = args.inputs.iter().map(name).collect();
-    let manifest = build(&mut *source, &args.output, sources, options, &|done, total| {
-        progress.at(done, total);
-    })?;
+    let manifest = build(
+        &mut *source,
+        &args.output,
+        sources,
+        options,
+        &|done, total| {
+            progress.at(done, total);
+        },
+    )?;
     progress.end();
     let overlaps = source.overlaps();
     let bytes = Dataset::open(&args.output)?.total_bytes();

@@ -35,17 +35,35 @@ pub(super) fn run(args: &InfoArgs) -> Result<ExitCode> {
         return Ok(ExitCode::SUCCESS);
     }
     let georef = &manifest.georef;
-    println!("name        {}, generation {}", dataset.name(), manifest.generation);
-    println!("samples     {width} x {height}, {} with data", manifest.valid_samples);
+    println!(
+        "name        {}, generation {}",
+        dataset.name(),
+        manifest.generation
+    );
+    println!(
+        "samples     {width} x {height}, {} with data",
+        manifest.valid_samples
+    );
     let [dx, dy] = georef.sample_spacing_m;
     println!("spacing     {dx:.4} m east, {dy:.4} m north");
     println!("plane       {}", describe(&georef.plane));
     for (axis, [from, to]) in ["x", "y", "z"].iter().zip(extent) {
         println!("{axis}           {from:.2} .. {to:.2} m");
     }
-    println!("quantum     {} m; largest difference from the sources {} m", georef.quantum_m, manifest.storage_error_m);
-    println!("grid        {} levels, {} pages", manifest.grid_levels.get(), manifest.pages);
-    println!("size        {:.1} MB in {} segments, {bits:.2} bits a sample", bytes as f64 / 1e6, manifest.segments.len());
+    println!(
+        "quantum     {} m; largest difference from the sources {} m",
+        georef.quantum_m, manifest.storage_error_m
+    );
+    println!(
+        "grid        {} levels, {} pages",
+        manifest.grid_levels.get(),
+        manifest.pages
+    );
+    println!(
+        "size        {:.1} MB in {} segments, {bits:.2} bits a sample",
+        bytes as f64 / 1e6,
+        manifest.segments.len()
+    );
     println!("sources     {}", manifest.sources.join(", "));
     Ok(ExitCode::SUCCESS)
 }

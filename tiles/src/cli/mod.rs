@@ -96,7 +96,10 @@ pub fn run(cli: Cli) -> Result<ExitCode> {
         Command::Sample(args) => {
             crate::synth::write_geotiff(&args.output, args.size, args.seed)?;
             let (file, side) = (args.output.display(), args.size);
-            println!("{file}: {side} x {side} samples, 10 m apart, seed {}", args.seed);
+            println!(
+                "{file}: {side} x {side} samples, 10 m apart, seed {}",
+                args.seed
+            );
             Ok(ExitCode::SUCCESS)
         }
     }

@@ -24,7 +24,11 @@ impl Progress {
         Progress {
             what,
             bar: bar.filter(|_| !quiet),
-            last_line: Mutex::new(if quiet { Instant::now() + Duration::MAX / 4 } else { Instant::now() }),
+            last_line: Mutex::new(if quiet {
+                Instant::now() + Duration::MAX / 4
+            } else {
+                Instant::now()
+            }),
         }
     }
 

@@ -49,9 +49,7 @@ pub(super) fn run(args: &VerifyArgs) -> Result<ExitCode> {
         false => Some(against(args, &dataset)?),
     };
     let allowed_m = dataset.manifest().storage_error_m;
-    let exact = against.is_none_or(|a| {
-        a.largest_difference_m <= allowed_m && a.invented == 0
-    });
+    let exact = against.is_none_or(|a| a.largest_difference_m <= allowed_m && a.invented == 0);
     if args.json {
         let all = json!({ "bounds": report, "against": against, "storage_error_m": allowed_m });
         println!("{all:#}");
@@ -68,7 +66,9 @@ pub(super) fn run(args: &VerifyArgs) -> Result<ExitCode> {
 fn against(args: &VerifyArgs, dataset: &Dataset) -> Result<Against> {
     let mut source = open_all(&args.against, &args.input.options())?;
     let progress = Progress::new("comparing", args.json);
-    let found = compare(dataset, &mut *source, &|done, total| progress.at(done, total))?;
+    let found = compare(dataset, &mut *source, &|done, total| {
+        progress.at(done, total)
+    })?;
     progress.end();
     Ok(found)
 }
@@ -93,6 +93,9 @@ fn print(report: &VerifyReport, against: Option<Against>, allowed_m: f64) {
             "inputs      {} samples; largest difference {} m, promised {allowed_m} m",
             found.samples, found.largest_difference_m
         );
-        println!("            {} samples missing, {} invented", found.missing, found.invented);
+        println!(
+            "            {} samples missing, {} invented",
+            found.missing, found.invented
+        );
     }
 }

@@ -68,10 +68,14 @@ impl Current {
     /// The manifest's bytes, checked.
     pub(super) fn read_manifest(&self, folder: &Path) -> Result<Vec<u8>, DatasetError> {
         let path = self.manifest_path(folder);
-        let found = fs::metadata(&path).map_err(DatasetError::io(&path, "read length"))?.len();
+        let found = fs::metadata(&path)
+            .map_err(DatasetError::io(&path, "read length"))?
+            .len();
         if found != self.manifest_bytes || found > MAX_MANIFEST_BYTES as u64 {
             let said = self.manifest_bytes;
-            let why = format!("{found} bytes long, CURRENT says {said}, allowed are {MAX_MANIFEST_BYTES}");
+            let why = format!(
+                "{found} bytes long, CURRENT says {said}, allowed are {MAX_MANIFEST_BYTES}"
+            );
             return Err(DatasetError::damaged(&path, why));
         }
         let json = fs::read(&path).map_err(DatasetError::io(&path, "read"))?;
@@ -93,7 +97,9 @@ impl Current {
             "escarp 1\ngeneration {}\nmanifest {} {:08x}\n",
             self.generation, self.manifest_bytes, self.manifest_crc32c
         );
-        let written = file.write_all(text.as_bytes()).and_then(|()| file.as_file().sync_all());
+        let written = file
+            .write_all(text.as_bytes())
+            .and_then(|()| file.as_file().sync_all());
         written.map_err(DatasetError::io(&path, "write"))?;
         file.persist(&path)
             .map_err(|error| DatasetError::io(&path, "rename into place")(error.error))?;

@@ -21,7 +21,8 @@ impl FamilyId {
 
     /// The family that a page belongs to.
     pub fn of(page: PageId) -> FamilyId {
-        page.parent().map_or(Self::ROOT, |(parent, _)| Self::below(parent))
+        page.parent()
+            .map_or(Self::ROOT, |(parent, _)| Self::below(parent))
     }
 
     /// The family of a page's children.
@@ -82,7 +83,10 @@ impl<'a> FamilyTable<'a> {
         let mut reader = Reader::new(bytes);
         let id = reader.u64().ok_or_else(cut)?;
         if id != family.0 {
-            return Err(damaged(format!("family {id:x}, the index says {:x}", family.0)));
+            return Err(damaged(format!(
+                "family {id:x}, the index says {:x}",
+                family.0
+            )));
         }
         let count = reader.u16().ok_or_else(cut)? as usize;
         if count == 0 || count > PAGE_SLOTS {
@@ -92,13 +96,20 @@ impl<'a> FamilyTable<'a> {
         let stored = reader.u32().ok_or_else(cut)?;
         let found = crc32c(&bytes[..HEAD + count * ENTRY]);
         if found != stored {
-            return Err(damaged(format!("table checksum {found:08x}, stored is {stored:08x}")));
+            return Err(damaged(format!(
+                "table checksum {found:08x}, stored is {stored:08x}"
+            )));
         }
         let records = &bytes[reader.position()..];
-        let lengths: usize = entries.chunks_exact(ENTRY).map(|entry| length_of(entry)).sum();
+        let lengths: usize = entries
+            .chunks_exact(ENTRY)
+            .map(|entry| length_of(entry))
+            .sum();
         if lengths != records.len() {
             let there = records.len();
-            return Err(damaged(format!("records of {lengths} bytes in a space of {there}")));
+            return Err(damaged(format!(
+                "records of {lengths} bytes in a space of {there}"
+            )));
         }
         Ok(FamilyTable {
             family,
@@ -152,7 +163,10 @@ impl<'a> FamilyTable<'a> {
         let page = page.ok_or_else(|| damaged(format!("slot {}", entry[0])))?;
         let bytes = &self.records[start..start + length_of(entry)];
         if bytes.len() > MAX_RECORD_BYTES {
-            return Err(damaged(format!("{} bytes, allowed are {MAX_RECORD_BYTES}", bytes.len())));
+            return Err(damaged(format!(
+                "{} bytes, allowed are {MAX_RECORD_BYTES}",
+                bytes.len()
+            )));
         }
         let stored = u32::from_le_bytes([entry[3], entry[4], entry[5], entry[6]]);
         let found = revision(page, bytes);

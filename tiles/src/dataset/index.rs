@@ -56,7 +56,9 @@ impl Index {
         let mut head = Reader::new(bytes);
         let magic = head.take(8) == Some(MAGIC);
         let generation = head.u64() == Some(manifest.generation);
-        let count = head.u64().and_then(|n| usize::try_from(n).ok()?.checked_mul(ENTRY));
+        let count = head
+            .u64()
+            .and_then(|n| usize::try_from(n).ok()?.checked_mul(ENTRY));
         if !(magic && generation && count == Some(head.left())) {
             let why = "magic, generation or number of entries is not as in tiles/FORMAT.md";
             return Err(DatasetError::damaged(path, why));
@@ -78,7 +80,9 @@ impl Index {
     }
 
     pub(super) fn entries(&self) -> impl Iterator<Item = IndexEntry> + '_ {
-        self.map.bytes()[HEAD..].chunks_exact(ENTRY).filter_map(parse)
+        self.map.bytes()[HEAD..]
+            .chunks_exact(ENTRY)
+            .filter_map(parse)
     }
 
     pub(super) fn find(&self, family: FamilyId) -> Option<IndexEntry> {

@@ -25,7 +25,10 @@ impl Mapped {
             }
             _ => DatasetError::io(path, "open")(source),
         })?;
-        let found = file.metadata().map_err(DatasetError::io(path, "read length"))?.len();
+        let found = file
+            .metadata()
+            .map_err(DatasetError::io(path, "read length"))?
+            .len();
         if found != bytes {
             let why = format!("{found} bytes long, the manifest says {bytes}");
             return Err(DatasetError::damaged(path, why));

@@ -93,7 +93,12 @@ impl Dataset {
 
     /// Bytes of the whole dataset on disk.
     pub fn total_bytes(&self) -> u64 {
-        let segments: u64 = self.manifest.segments.iter().map(|segment| segment.bytes).sum();
+        let segments: u64 = self
+            .manifest
+            .segments
+            .iter()
+            .map(|segment| segment.bytes)
+            .sum();
         segments + self.manifest.index.bytes + self.manifest_json.len() as u64
     }
 
@@ -131,8 +136,8 @@ impl Dataset {
 
 /// A segment's path; its name is checked, as it comes from a file.
 fn segment_path(folder: &Path, file: &str) -> Result<PathBuf, DatasetError> {
-    let plain = file.starts_with("seg-")
-        && file[4..].bytes().all(|b| b.is_ascii_digit() || b == b'-');
+    let plain =
+        file.starts_with("seg-") && file[4..].bytes().all(|b| b.is_ascii_digit() || b == b'-');
     if !plain {
         let why = format!("segment named {file:?}, allowed is seg-<generation>-<number>");
         return Err(DatasetError::damaged(folder, why));
@@ -142,6 +147,9 @@ fn segment_path(folder: &Path, file: &str) -> Result<PathBuf, DatasetError> {
 
 /// The last part of a dataset's address.
 pub fn name_of(folder: &Path) -> String {
-    let name = folder.file_name().unwrap_or(folder.as_os_str()).to_string_lossy();
+    let name = folder
+        .file_name()
+        .unwrap_or(folder.as_os_str())
+        .to_string_lossy();
     name.strip_suffix(".escarp").unwrap_or(&name).to_owned()
 }

@@ -64,7 +64,8 @@ impl DatasetWriter {
         fs::create_dir_all(folder).map_err(DatasetError::io(folder, "create the folder"))?;
         let path = folder.join("LOCK");
         let lock = File::create(&path).map_err(DatasetError::io(&path, "create"))?;
-        lock.try_lock().map_err(|_| usage("another program is writing this dataset"))?;
+        lock.try_lock()
+            .map_err(|_| usage("another program is writing this dataset"))?;
         let published = match Current::read(folder) {
             Ok(_) if !overwrite => {
                 return Err(usage("exists already; give --overwrite to replace it"));
@@ -115,7 +116,8 @@ impl DatasetWriter {
         let segment = &mut self.segments[number];
         let path = self.folder.join(&segment.file);
         if let Some(open) = &mut self.open {
-            open.write_all(&family.bytes).map_err(DatasetError::io(&path, "write"))?;
+            open.write_all(&family.bytes)
+                .map_err(DatasetError::io(&path, "write"))?;
         }
         self.index.push(IndexEntry {
             family: family.family,
@@ -145,7 +147,9 @@ impl DatasetWriter {
         let synced = open.into_inner().map_err(|error| error.into_error());
         let name = self.segments.last().map_or("", |segment| &segment.file);
         let path = self.folder.join(name);
-        synced.and_then(|file| file.sync_all()).map_err(DatasetError::io(&path, "write"))
+        synced
+            .and_then(|file| file.sync_all())
+            .map_err(DatasetError::io(&path, "write"))
     }
 
     /// Publishes. The writer fills in generation, pages, segments and index of the manifest, and
@@ -175,7 +179,9 @@ impl DatasetWriter {
 
 /// The generation in the name of one of a dataset's files.
 fn generation_of(name: &str) -> Option<u64> {
-    let rest = ["manifest-", "index-", "seg-"].iter().find_map(|prefix| name.strip_prefix(prefix))?;
+    let rest = ["manifest-", "index-", "seg-"]
+        .iter()
+        .find_map(|prefix| name.strip_prefix(prefix))?;
     let digits = rest.split(['-', '.']).next()?;
     digits.parse().ok()
 }
@@ -183,18 +189,27 @@ fn generation_of(name: &str) -> Option<u64> {
 fn names(folder: &Path) -> Result<Vec<String>, DatasetError> {
     let entries = fs::read_dir(folder).map_err(DatasetError::io(folder, "list"))?;
     let names = entries.map(|entry| entry.map(|e| e.file_name().to_string_lossy().into_owned()));
-    names.collect::<Result<_, _>>().map_err(DatasetError::io(folder, "list"))
+    names
+        .collect::<Result<_, _>>()
+        .map_err(DatasetError::io(folder, "list"))
 }
 
 fn newest_generation(folder: &Path) -> Result<u64, DatasetError> {
     let names = names(folder)?;
-    Ok(names.iter().filter_map(|name| generation_of(name)).max().unwrap_or(0))
+    Ok(names
+        .iter()
+        .filter_map(|name| generation_of(name))
+        .max()
+        .unwrap_or(0))
 }
 
 /// Whether a folder can be taken for a dataset: nothing of anyone else's is ever written over.
 fn holds_only_ours(folder: &Path) -> Result<bool, DatasetError> {
     let ours = |name: &String| {
-        name == "CURRENT" || name == "LOCK" || name.starts_with(".tmp") || generation_of(name).is_some()
+        name == "CURRENT"
+            || name == "LOCK"
+            || name.starts_with(".tmp")
+            || generation_of(name).is_some()
     };
     Ok(names(folder)?.iter().all(ours))
 }

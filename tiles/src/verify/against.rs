@@ -61,8 +61,15 @@ pub fn compare(
         }
         shared = stored[..width as usize].to_vec();
         let own = if page_row == 0 { rows } else { rows - 1 };
-        let stored = stored.chunks_exact(width as usize).take(rows as usize).rev();
-        for (given, stored) in given.chunks_exact(width as usize).zip(stored).take(own as usize) {
+        let stored = stored
+            .chunks_exact(width as usize)
+            .take(rows as usize)
+            .rev();
+        for (given, stored) in given
+            .chunks_exact(width as usize)
+            .zip(stored)
+            .take(own as usize)
+        {
             found.row(given, stored, quantum_m);
         }
         progress(u64::from(page_rows - page_row), u64::from(page_rows));

@@ -30,7 +30,8 @@ impl Finding {
         let deviation = scaled.unsigned_abs() as f64 / scale as f64;
         if scaled.unsigned_abs() > u64::from(bound) * scale as u64 {
             if self.broken.len() < MOST_WORDS {
-                self.broken.push(format!("{}: {deviation} quanta, promised {bound}", what()));
+                self.broken
+                    .push(format!("{}: {deviation} quanta, promised {bound}", what()));
             }
             self.largest_ratio = self.largest_ratio.max(if bound == 0 {
                 f64::INFINITY
@@ -166,7 +167,8 @@ impl Check<'_> {
             // On its border a sample may be on the surface of the next square alone.
             Kind::Mixed if u == 0 || u == side || v == 0 || v == side => return,
             Kind::Mixed => {
-                let outside = (i64::from(told.range.lo) - height).max(height - i64::from(told.range.hi));
+                let outside =
+                    (i64::from(told.range.lo) - height).max(height - i64::from(told.range.hi));
                 return finding.note(outside.max(0), 1, 0, what);
             }
             Kind::Full => {}
@@ -227,7 +229,10 @@ impl Check<'_> {
             let plane = side * centre + out * (from + to - 2 * centre) + along * (to - from);
             let bound = told.edges[edge as usize];
             finding.note(side * height - plane, side, bound, || {
-                format!("page {} level {level} square {column}, {row} {edge:?}", self.id)
+                format!(
+                    "page {} level {level} square {column}, {row} {edge:?}",
+                    self.id
+                )
             });
         }
     }

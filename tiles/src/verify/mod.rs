@@ -80,7 +80,10 @@ fn check_records(dataset: &Dataset) -> Result<Vec<PageId>, DatasetError> {
         .par_iter()
         .map(|entry| {
             let table = dataset.family(entry)?;
-            table.records().map(|record| record.map(|record| record.page)).collect()
+            table
+                .records()
+                .map(|record| record.map(|record| record.page))
+                .collect()
         })
         .collect::<Result<Vec<Vec<PageId>>, DatasetError>>()?;
     Ok(lists.concat())

@@ -41,7 +41,10 @@ fn hello_is_answered_by_welcome_with_manifest_and_limits() {
     };
     assert_eq!(welcome.version, 1);
     assert_eq!(welcome.manifest, SOURCE.manifest_json());
-    assert_eq!((welcome.limits.wanted_pages, welcome.limits.views_per_second), (2048, 20));
+    assert_eq!(
+        (welcome.limits.wanted_pages, welcome.limits.views_per_second),
+        (2048, 20)
+    );
     assert_eq!(peer.hear(), None);
 }
 
@@ -49,7 +52,11 @@ fn hello_is_answered_by_welcome_with_manifest_and_limits() {
 fn hello_comes_first_and_once_and_all_else_after_it() {
     for message in every_message_but_hello() {
         let before = Peer::new(Limits::default());
-        assert_eq!(refusal(before, message.clone()), Some(ErrorCode::Protocol), "{message:?}");
+        assert_eq!(
+            refusal(before, message.clone()),
+            Some(ErrorCode::Protocol),
+            "{message:?}"
+        );
         assert_eq!(refusal(Peer::open(0), message.clone()), None, "{message:?}");
     }
     let again = ClientMessage::Hello(hello(0));
@@ -65,12 +72,21 @@ fn hello_must_have_a_version_a_codec_and_a_dataset_in_common() {
     };
     assert_eq!(answer(|_| ()), None);
     assert_eq!(answer(|h| h.newest = 9), None);
-    assert_eq!(answer(|h| (h.oldest, h.newest) = (2, 9)), Some(ErrorCode::Version));
-    assert_eq!(answer(|h| (h.oldest, h.newest) = (2, 0)), Some(ErrorCode::Version));
+    assert_eq!(
+        answer(|h| (h.oldest, h.newest) = (2, 9)),
+        Some(ErrorCode::Version)
+    );
+    assert_eq!(
+        answer(|h| (h.oldest, h.newest) = (2, 0)),
+        Some(ErrorCode::Version)
+    );
     assert_eq!(answer(|h| h.codecs = 0), Some(ErrorCode::Version));
     assert_eq!(answer(|h| h.codecs = !1), Some(ErrorCode::Version));
     assert_eq!(answer(|h| h.capabilities = u64::MAX), None);
-    assert_eq!(answer(|h| h.dataset = "mars".into()), Some(ErrorCode::NoDataset));
+    assert_eq!(
+        answer(|h| h.dataset = "mars".into()),
+        Some(ErrorCode::NoDataset)
+    );
     assert_eq!(answer(|h| h.dataset.clear()), None);
 }
 
@@ -82,15 +98,23 @@ fn a_wrong_name_is_answered_by_the_right_ones_one_a_line() {
     }
     let mut peer = Peer::of(catalog, Limits::default());
     let dataset = String::new();
-    peer.say(ClientMessage::Hello(Hello { dataset, ..hello(0) }));
-    assert_eq!(peer.harvest().errors, [PeerError::new(ErrorCode::NoDataset, "alps\nmoon")]);
+    peer.say(ClientMessage::Hello(Hello {
+        dataset,
+        ..hello(0)
+    }));
+    assert_eq!(
+        peer.harvest().errors,
+        [PeerError::new(ErrorCode::NoDataset, "alps\nmoon")]
+    );
 }
 
 #[test]
 fn names_that_do_not_fit_an_error_are_left_out_whole() {
     let mut catalog = Catalog::default();
     for number in 100..200 {
-        catalog.add(&format!("{number}{}", "n".repeat(97)), SOURCE.clone()).unwrap();
+        catalog
+            .add(&format!("{number}{}", "n".repeat(97)), SOURCE.clone())
+            .unwrap();
     }
     let mut peer = Peer::of(catalog, Limits::default());
     peer.say(ClientMessage::Hello(hello(0)));
@@ -118,17 +142,31 @@ fn what_breaks_the_rules_ends_the_session() {
         ClientMessage::Evict(vec![u64::MAX]),
     ];
     for message in broken {
-        assert_eq!(refusal(Peer::open(100), message.clone()), Some(ErrorCode::Protocol), "{message:?}");
+        assert_eq!(
+            refusal(Peer::open(100), message.clone()),
+            Some(ErrorCode::Protocol),
+            "{message:?}"
+        );
     }
 }
 
 #[test]
 fn bytes_that_are_no_message_end_the_session() {
     let ping = ClientMessage::Ping(300).encode();
-    for bytes in [&[][..], &[9], &[255], &ping[..2], &[ping.as_slice(), &[0]].concat()] {
+    for bytes in [
+        &[][..],
+        &[9],
+        &[255],
+        &ping[..2],
+        &[ping.as_slice(), &[0]].concat(),
+    ] {
         let mut peer = Peer::open(0);
         peer.session.handle_message(bytes, peer.now);
-        assert_eq!(peer.harvest().errors[0].code, ErrorCode::Protocol, "{bytes:?}");
+        assert_eq!(
+            peer.harvest().errors[0].code,
+            ErrorCode::Protocol,
+            "{bytes:?}"
+        );
     }
 }
 
@@ -137,14 +175,19 @@ fn a_client_that_leaves_with_an_error_gets_no_answer() {
     let mut peer = Peer::open(0);
     let error = PeerError::new(ErrorCode::Internal, "out of memory");
     peer.say(ClientMessage::Error(error.clone()));
-    assert_eq!(peer.session.close_reason(), Some(&CloseReason::Client(error)));
+    assert_eq!(
+        peer.session.close_reason(),
+        Some(&CloseReason::Client(error))
+    );
     assert_eq!(peer.hear(), None);
 }
 
 #[test]
 fn the_last_message_goes_before_all_that_waits_and_only_the_first_reason_counts() {
     let mut peer = Peer::open(u64::MAX);
-    let wishes = stored_pages().into_iter().map(|page| want(page, Class::InView, 1.0));
+    let wishes = stored_pages()
+        .into_iter()
+        .map(|page| want(page, Class::InView, 1.0));
     peer.say(ClientMessage::Want(wishes.collect()));
     peer.session.close(ErrorCode::ShuttingDown, "bye");
     peer.session.close(ErrorCode::Internal, "again");

@@ -136,7 +136,8 @@ fn pings_that_nobody_hears_the_answers_of_are_not_hoarded() {
 #[test]
 fn a_message_that_is_too_long_is_refused_unread() {
     let mut peer = Peer::open(0);
-    peer.session.handle_message(&vec![3; (64 << 10) + 1], peer.now);
+    peer.session
+        .handle_message(&vec![3; (64 << 10) + 1], peer.now);
     assert_eq!(peer.harvest().errors[0].code, ErrorCode::Limit);
     let mut peer = Peer::open(0);
     peer.say(ClientMessage::Evict(vec![0; MAX_LIST + 1]));

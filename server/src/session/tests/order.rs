@@ -49,7 +49,13 @@ fn oracle(steps: &[Step]) -> Vec<u64> {
             Step::Cancel(page) => wishes.retain(|wish| wish.page != *page),
         }
     }
-    let number = |wish: &Want| if wish.priority.is_nan() { 0.0 } else { wish.priority };
+    let number = |wish: &Want| {
+        if wish.priority.is_nan() {
+            0.0
+        } else {
+            wish.priority
+        }
+    };
     wishes.sort_by(|a, b| {
         let larger_first = number(b).partial_cmp(&number(a)).unwrap();
         a.class.cmp(&b.class).then(larger_first)

@@ -6,7 +6,12 @@ use escarp_proto::page::{RecordHeader, revision};
 use escarp_proto::wire::{MissReason, PAGES_FRAME};
 
 fn wants(pages: &[PageId]) -> ClientMessage {
-    ClientMessage::Want(pages.iter().map(|&page| want(page, Class::InView, 1.0)).collect())
+    ClientMessage::Want(
+        pages
+            .iter()
+            .map(|&page| want(page, Class::InView, 1.0))
+            .collect(),
+    )
 }
 
 #[test]
@@ -43,7 +48,10 @@ fn parts_are_cut_where_the_header_says_and_clipped_to_the_last() {
                 peer.say(ClientMessage::Want(vec![wish]));
                 let chunk = &peer.harvest().chunks[0];
                 let parts = header.part_bytes(first_part, last_part.min(last)).unwrap();
-                assert_eq!((chunk.first_part, chunk.last_part), (first_part, last_part.min(last)));
+                assert_eq!(
+                    (chunk.first_part, chunk.last_part),
+                    (first_part, last_part.min(last))
+                );
                 assert_eq!(chunk.bytes, &record[parts]);
             }
         }
@@ -57,7 +65,10 @@ fn what_cannot_come_is_missed_with_its_reason() {
         peer.say(ClientMessage::Want(vec![wish]));
         let harvest = peer.harvest();
         assert_eq!((harvest.misses.len(), harvest.chunks.len()), (1, 0));
-        assert_eq!((harvest.misses[0].page, harvest.idles.len()), (wish.page, 1));
+        assert_eq!(
+            (harvest.misses[0].page, harvest.idles.len()),
+            (wish.page, 1)
+        );
         harvest.misses[0].reason
     };
     let page = |x| PageId::new(4, x, 2).unwrap();
@@ -67,7 +78,10 @@ fn what_cannot_come_is_missed_with_its_reason() {
     assert_eq!(miss_of(at(14)), MissReason::Damaged);
     assert_eq!(miss_of(at(15)), MissReason::Damaged);
     let too_deep = PageId::new(12, 0, 0).unwrap();
-    assert_eq!(miss_of(want(too_deep, Class::InView, 1.0)), MissReason::NotFound);
+    assert_eq!(
+        miss_of(want(too_deep, Class::InView, 1.0)),
+        MissReason::NotFound
+    );
     let no_page = Want {
         page: u64::MAX,
         ..at(0)
@@ -93,12 +107,22 @@ fn frames_are_full_but_never_too_long() {
         frames.push(bytes);
     }
     let idle = frames.pop().unwrap();
-    assert_eq!(ServerMessage::decode(&idle), Ok(ServerMessage::Idle { view_sequence: 0 }));
+    assert_eq!(
+        ServerMessage::decode(&idle),
+        Ok(ServerMessage::Idle { view_sequence: 0 })
+    );
     assert!(frames.iter().all(|frame| frame.len() <= PAGES_FRAME));
-    let longest = pages.iter().map(|&page| SOURCE.stored(page).len()).max().unwrap();
+    let longest = pages
+        .iter()
+        .map(|&page| SOURCE.stored(page).len())
+        .max()
+        .unwrap();
     let (_, full) = frames.split_last().unwrap();
     // The estimate of a chunk's length is up to 13 bytes too long.
-    assert!(full.iter().all(|frame| frame.len() + longest + 100 * 13 > PAGES_FRAME));
+    assert!(
+        full.iter()
+            .all(|frame| frame.len() + longest + 100 * 13 > PAGES_FRAME)
+    );
 }
 
 #[test]
@@ -109,7 +133,9 @@ fn a_cancel_takes_effect_between_frames() {
     let Some(ServerMessage::Pages(first)) = peer.hear() else {
         panic!("no pages")
     };
-    peer.say(ClientMessage::Cancel(pages.iter().map(|page| page.key()).collect()));
+    peer.say(ClientMessage::Cancel(
+        pages.iter().map(|page| page.key()).collect(),
+    ));
     assert!(first.len() < pages.len());
     assert_eq!(peer.hear(), Some(ServerMessage::Idle { view_sequence: 0 }));
     assert_eq!(peer.hear(), None);
@@ -135,7 +161,12 @@ fn more_pages_than_allowed_are_busy_but_a_page_may_be_wanted_again() {
     peer.say(ClientMessage::Credit {
         total_bytes: 1 << 20,
     });
-    let sent: Vec<_> = peer.harvest().chunks.iter().map(|chunk| chunk.page).collect();
+    let sent: Vec<_> = peer
+        .harvest()
+        .chunks
+        .iter()
+        .map(|chunk| chunk.page)
+        .collect();
     assert_eq!(sent, [pages[1].key(), pages[2].key()]);
 }
 
@@ -182,10 +213,16 @@ fn the_model_of_the_cache_follows_what_is_sent_had_and_evicted() {
         parts: 3,
     };
     peer.say(ClientMessage::Have(vec![have]));
-    assert_eq!(peer.session.client_has(sent), Some((revision(sent, &SOURCE.stored(sent)), 5)));
+    assert_eq!(
+        peer.session.client_has(sent),
+        Some((revision(sent, &SOURCE.stored(sent)), 5))
+    );
     assert_eq!(peer.session.client_has(had), Some((5, 3)));
     peer.say(ClientMessage::Evict(vec![sent.key(), had.key()]));
-    assert_eq!((peer.session.client_has(sent), peer.session.client_has(had)), (None, None));
+    assert_eq!(
+        (peer.session.client_has(sent), peer.session.client_has(had)),
+        (None, None)
+    );
     assert_eq!(peer.session.close_reason(), None);
 }
 
