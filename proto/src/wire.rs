@@ -36,7 +36,7 @@ pub enum ClientMessage {
     Hello(Hello),
     /// What is looked at now. A newer one replaces it.
     View {
-        /// Counts views, so that Idle can name the one that it answers.
+        /// Grows from 1 on, so that Idle can name the view that it answers.
         sequence: u32,
         /// The view.
         view: View,
@@ -76,7 +76,7 @@ pub enum ServerMessage {
     },
     /// Nothing is queued or in flight.
     Idle {
-        /// The newest View received when the queue ran empty; 0 if none.
+        /// The newest View looked at when the queue ran empty; 0 if none.
         view_sequence: u32,
     },
     /// Answers Ping.

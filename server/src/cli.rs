@@ -3,10 +3,10 @@
 use crate::catalog::{Catalog, CatalogError, percent_encoded};
 use crate::limits::Limits;
 use crate::serve;
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, anyhow};
 use clap::Parser;
-use escarp_tiles::dataset::Dataset;
-use std::io::Write;
+use escarp_tiles::dataset::{Dataset, DatasetError};
+use std::io::{IsTerminal, Write};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -52,10 +52,11 @@ Exit codes: 0 ended by a signal; 1 a dataset could not be opened, or the address
 /// Runs the server until a signal ends it.
 pub fn run(cli: &Cli) -> ExitCode {
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info"));
-    tracing_subscriber::fmt()
+    let colours = std::io::stderr().is_terminal();
+    let log = tracing_subscriber::fmt()
         .with_env_filter(filter)
-        .with_writer(std::io::stderr)
-        .init();
+        .with_ansi(colours);
+    log.with_writer(std::io::stderr).init();
     match host(cli) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
@@ -109,9 +110,13 @@ fn open_all(folders: &[PathBuf]) -> Result<Catalog> {
 }
 
 fn open(folder: &Path) -> Result<Dataset> {
-    Dataset::open(folder).with_context(|| {
-        let folder = folder.display();
-        format!("{folder} was not opened; `escarp-tiles build INPUT -o {folder}` makes it")
+    Dataset::open(folder).map_err(|error| {
+        // The other kinds say themselves what to do.
+        let advice = match error {
+            DatasetError::Damaged { .. } => "; restore the file, or build the dataset again",
+            _ => "",
+        };
+        anyhow!("{error}{advice}")
     })
 }
 

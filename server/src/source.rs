@@ -5,6 +5,9 @@ use escarp_proto::manifest::Manifest;
 use std::borrow::Cow;
 use thiserror::Error;
 
+/// A page's revision and its whole record.
+pub type Revised<'a> = (u32, Cow<'a, [u8]>);
+
 /// A dataset as the server sees it.
 pub trait PageSource: Send + Sync {
     /// The manifest.
@@ -18,7 +21,7 @@ pub trait PageSource: Send + Sync {
     ///
     /// # Errors
     /// [`SourceError`] if there should be a record, and it is damaged or cannot be read.
-    fn record(&self, page: PageId) -> Result<Option<(u32, Cow<'_, [u8]>)>, SourceError>;
+    fn record(&self, page: PageId) -> Result<Option<Revised<'_>>, SourceError>;
 }
 
 /// A stored record that cannot be given.

@@ -1,6 +1,18 @@
-//! What the whole-system tests share: datasets made from functions, a feed of pages without a
-//! network, and naive measurements of a mesh.
+//! What the whole-system tests share: datasets made from functions, DEM files, a feed of pages
+//! without a network, servers honest and lying, programs, and naive measurements of a mesh.
+
+pub mod terrain;
+
+pub mod inputs;
+
+pub mod files;
 
 pub mod feed;
+
 pub mod measure;
-pub mod terrain;
+
+pub mod host;
+
+pub mod liar;
+
+pub mod programs;

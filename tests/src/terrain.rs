@@ -1,7 +1,8 @@
 //! Datasets made from functions.
 
 use escarp_proto::geometry::PageId;
-use escarp_tiles::build::{BuildOptions, Quantum, build};
+use escarp_proto::manifest::Manifest;
+use escarp_tiles::build::{BuildError, BuildOptions, Quantum, build};
 use escarp_tiles::dataset::{Dataset, PageReader};
 use escarp_tiles::dem::{Crs, DemError, DemInfo, DemSource, Placement, Registration, SampleType};
 use std::path::{Path, PathBuf};
@@ -62,13 +63,16 @@ impl<F: Fn(u32, u32) -> f64 + Send> DemSource for FunctionSource<F> {
     }
 }
 
+/// Where a [`TempDataset`] lies in its folder.
+const FOLDER: &str = "test.escarp";
+
 /// A dataset in a folder that goes with it.
 pub struct TempDataset {
     /// The open dataset.
     pub dataset: Dataset,
     /// Heights in quanta by grid `x` and `y`; `None` is a hole.
     pub samples: Vec<Option<i32>>,
-    _folder: TempDir,
+    folder: TempDir,
 }
 
 impl TempDataset {
@@ -87,15 +91,28 @@ impl TempDataset {
     /// If it cannot be built.
     pub fn build(source: &mut dyn DemSource) -> TempDataset {
         let folder = tempfile::tempdir().expect("a temporary folder");
-        let path = folder.path().join("test.escarp");
+        let path = folder.path().join(FOLDER);
         build_at(&path, source);
         let dataset = Dataset::open(&path).expect("the dataset opens");
         let samples = read_samples(&dataset);
         TempDataset {
             dataset,
             samples,
-            _folder: folder,
+            folder,
         }
+    }
+
+    /// The dataset's folder.
+    pub fn path(&self) -> PathBuf {
+        self.folder.path().join(FOLDER)
+    }
+
+    /// The dataset once more, as a server opens it.
+    ///
+    /// # Panics
+    /// If it does not open.
+    pub fn open(&self) -> Dataset {
+        Dataset::open(&self.path()).expect("the dataset opens")
     }
 
     /// Sample at grid `x`, `y`; beyond the data there are holes.
@@ -113,11 +130,22 @@ impl TempDataset {
 /// # Panics
 /// If it cannot be built.
 pub fn build_at(path: &Path, source: &mut dyn DemSource) {
-    let options = BuildOptions {
-        quantum: Quantum::Natural,
-        overwrite: true,
-    };
-    build(source, path, vec!["test".into()], options, &|_, _| {}).expect("the dataset builds");
+    let built = build_with(path, source, Quantum::Natural, true);
+    built.expect("the dataset builds");
+}
+
+/// Builds a dataset in a folder.
+///
+/// # Errors
+/// Those of [`build`].
+pub fn build_with(
+    path: &Path,
+    source: &mut dyn DemSource,
+    quantum: Quantum,
+    overwrite: bool,
+) -> Result<Manifest, BuildError> {
+    let options = BuildOptions { quantum, overwrite };
+    build(source, path, vec!["test".into()], options, &|_, _| {})
 }
 
 /// All samples of a dataset, row by row from the south.

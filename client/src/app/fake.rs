@@ -138,12 +138,8 @@ fn vertex(x: f64, y: f64) -> Vertex {
     let slope = |dx: f64, dy: f64| {
         (height_m(x + dx, y + dy) - height_m(x - dx, y - dy)) / (2.0 * step * CELL_M)
     };
-    let normal = glam::DVec3::new(-slope(step, 0.0), -slope(0.0, step), 1.0).normalize();
-    let byte = |v: f64| (v * 127.0).round() as i8;
-    Vertex {
-        height: (height_m(x, y) / QUANTUM_M).round() as i32,
-        normal: [byte(normal.x), byte(normal.y), byte(normal.z), 0],
-    }
+    let height = (height_m(x, y) / QUANTUM_M).round() as i32;
+    Vertex::on_slope(height, slope(step, 0.0), slope(0.0, step))
 }
 
 /// Ridged noise: sharp crests, wide valleys, less detail in the valleys.

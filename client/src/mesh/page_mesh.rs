@@ -11,8 +11,21 @@ use escarp_proto::georef::WorldBox;
 pub struct Vertex {
     /// Height, in quanta.
     pub height: i32,
-    /// Unit normal `x, y, z` as signed normalised bytes; the fourth is 0.
-    pub normal: [i8; 4],
+    /// `x` and `y` of the unit normal as signed normalised 16-bit numbers; `z` follows, as the
+    /// ground faces up.
+    pub normal: [i16; 2],
+}
+
+impl Vertex {
+    /// A vertex on ground that rises this many metres a metre to the east and to the north.
+    pub fn on_slope(height: i32, east: f64, north: f64) -> Vertex {
+        let length = (east * east + north * north + 1.0).sqrt();
+        let part = |slope: f64| (-slope / length * f64::from(i16::MAX)).round() as i16;
+        Vertex {
+            height,
+            normal: [part(east), part(north)],
+        }
+    }
 }
 
 const _: () = assert!(size_of::<Vertex>() == 8);

@@ -31,6 +31,28 @@ pub enum LinkError {
     Page(#[from] PageError),
 }
 
+/// Which vertices of a page's mesh are not up to date.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Stale(u8);
+
+impl Stale {
+    pub(super) const NONE: Stale = Stale(0);
+    pub(super) const ALL: Stale = Stale(0x10);
+
+    pub(super) fn is_all(self) -> bool {
+        self.0 & Stale::ALL.0 != 0
+    }
+
+    /// The normals on an edge: the page across has come, gone or changed.
+    pub(super) fn add_edge(&mut self, edge: Edge) {
+        self.0 |= 1 << edge as u8;
+    }
+
+    pub(super) fn has_edge(self, edge: Edge) -> bool {
+        self.0 & (1 << edge as u8) != 0
+    }
+}
+
 /// A resident page.
 #[derive(Debug)]
 pub(super) struct Node {
@@ -50,9 +72,10 @@ pub(super) struct Node {
     pub(super) columns_m: [f64; PAGE_SAMPLES],
     pub(super) rows_m: [f64; PAGE_SAMPLES],
     pub(super) mesh: PageMesh,
-    /// Triangles, vertices of the mesh that are not up to date.
+    /// The mesh's triangles are not up to date.
     pub(super) stale_triangles: bool,
-    pub(super) stale_vertices: bool,
+    /// The mesh's vertices are not up to date: all, or those on some edges.
+    pub(super) stale_vertices: Stale,
 }
 
 /// The mesh tree.
@@ -161,7 +184,7 @@ impl MeshTree {
             if let Some(neighbour) = neighbour {
                 let node = self.node_mut(neighbour);
                 node.neighbours[edge.opposite() as usize] = Some(index);
-                node.stale_vertices = true;
+                node.stale_vertices.add_edge(edge.opposite());
             }
         }
         self.changes += 1;
@@ -203,7 +226,7 @@ impl MeshTree {
             enabled: 0,
             last_use: self.updates,
             stale_triangles: true,
-            stale_vertices: true,
+            stale_vertices: Stale::ALL,
         }
     }
 
@@ -241,10 +264,13 @@ impl MeshTree {
         let node = self.node_mut(index);
         node.page = page;
         node.bounds = bounds;
-        node.stale_vertices = true;
+        node.stale_vertices = Stale::ALL;
         node.stale_triangles = true;
-        for neighbour in node.neighbours.into_iter().flatten() {
-            self.node_mut(neighbour).stale_vertices = true;
+        let neighbours = node.neighbours;
+        for edge in Edge::ALL {
+            if let Some(neighbour) = neighbours[edge as usize] {
+                self.node_mut(neighbour).stale_vertices.add_edge(edge.opposite());
+            }
         }
         self.changes += 1;
     }
@@ -294,7 +320,7 @@ impl MeshTree {
             if let Some(neighbour) = node.neighbours[edge as usize] {
                 let neighbour = self.node_mut(neighbour);
                 neighbour.neighbours[edge.opposite() as usize] = None;
-                neighbour.stale_vertices = true;
+                neighbour.stale_vertices.add_edge(edge.opposite());
             }
         }
         self.changes += 1;

@@ -2,7 +2,7 @@
 
 use super::page_mesh::Vertex;
 use super::place::PageSquare;
-use super::tree::{Index, MeshTree};
+use super::tree::{Index, MeshTree, Node, Stale};
 use escarp_proto::geometry::{Edge, PAGE_CELLS, PAGE_SAMPLES};
 use escarp_proto::page::{Kind, PAGE_AREA, level_step};
 
@@ -26,7 +26,7 @@ impl MeshTree {
                 self.triangulate_page(index);
             }
             let node = self.node(index);
-            if node.stale_vertices && !node.mesh.indices.is_empty() {
+            if node.stale_vertices != Stale::NONE && !node.mesh.indices.is_empty() {
                 self.place_vertices(index);
             }
             triangles += self.node(index).mesh.indices.len() as u64 / 3;
@@ -106,23 +106,25 @@ impl MeshTree {
         }
     }
 
-    /// Heights and normals of the samples that have arrived.
+    /// Heights and normals of the samples that have arrived, as far as they are stale.
     fn place_vertices(&mut self, index: Index) {
         let mut vertices = std::mem::take(&mut self.node_mut(index).mesh.vertices);
-        vertices.resize(
-            PAGE_AREA,
-            Vertex {
-                height: 0,
-                normal: [0, 0, 127, 0],
-            },
-        );
-        let step = level_step(self.node(index).page.depth());
+        let node = self.node(index);
+        let stale = node.stale_vertices;
+        let all = vertices.is_empty() || stale.is_all();
+        vertices.resize(PAGE_AREA, Vertex::on_slope(0, 0.0, 0.0));
+        let step = level_step(node.page.depth());
+        let edge_of = |i: usize, low: Edge, high: Edge| match i {
+            0 => stale.has_edge(low),
+            PAGE_CELLS => stale.has_edge(high),
+            _ => false,
+        };
         for y in (0..PAGE_SAMPLES).step_by(step) {
+            let row = all || edge_of(y, Edge::South, Edge::North);
             for x in (0..PAGE_SAMPLES).step_by(step) {
-                vertices[y * PAGE_SAMPLES + x] = Vertex {
-                    height: self.node(index).page.height(y * PAGE_SAMPLES + x),
-                    normal: self.normal(index, x, y, step),
-                };
+                if row || edge_of(x, Edge::West, Edge::East) {
+                    vertices[y * PAGE_SAMPLES + x] = self.vertex(node, x, y, step);
+                }
             }
         }
         self.stamps += 1;
@@ -130,38 +132,32 @@ impl MeshTree {
         let node = self.node_mut(index);
         node.mesh.vertices = vertices;
         node.mesh.vertex_stamp = stamp;
-        node.stale_vertices = false;
+        node.stale_vertices = Stale::NONE;
     }
 
-    /// Normal from the slopes to the neighbouring samples, those of neighbouring pages included.
-    fn normal(&self, index: Index, x: usize, y: usize, step: usize) -> [i8; 4] {
-        let node = self.node(index);
+    /// A vertex with the slopes to its neighbouring samples, those of neighbouring pages included.
+    fn vertex(&self, node: &Node, x: usize, y: usize, step: usize) -> Vertex {
         let own = node.page.height(y * PAGE_SAMPLES + x);
         let slope = |back: Edge, ahead: Edge, spacing_m: f64| {
-            let height = |edge| self.sample_towards(index, (x, y), edge, step);
+            let height = |edge| self.sample_towards(node, (x, y), edge, step);
             let (low, high) = (height(back), height(ahead));
-            let cells = low.is_some() as u32 + high.is_some() as u32;
+            let cells = u32::from(low.is_some()) + u32::from(high.is_some());
             let rise = f64::from(high.unwrap_or(own)) - f64::from(low.unwrap_or(own));
             rise * self.georef.quantum_m / (f64::from(cells.max(1)) * spacing_m)
         };
         let cells = f64::from(node.mesh.stride) * step as f64;
-        let [dx, dy] = self
-            .georef
-            .sample_spacing_m
-            .map(|spacing_m| spacing_m * cells);
-        let (east, north) = (
+        let [dx, dy] = self.georef.sample_spacing_m.map(|spacing_m| spacing_m * cells);
+        Vertex::on_slope(
+            own,
             slope(Edge::West, Edge::East, dx),
             slope(Edge::South, Edge::North, dy),
-        );
-        let length = (east * east + north * north + 1.0).sqrt();
-        let byte = |v: f64| (v / length * 127.0).round() as i8;
-        [byte(-east), byte(-north), byte(1.0), 0]
+        )
     }
 
     /// Height of the sample a step towards an edge; `None` if it is a hole or not resident.
     fn sample_towards(
         &self,
-        index: Index,
+        node: &Node,
         (x, y): (usize, usize),
         edge: Edge,
         step: usize,
@@ -171,16 +167,15 @@ impl MeshTree {
         let (x, y) = (beyond(x, dx), beyond(y, dy));
         let side = PAGE_CELLS as i32;
         let inside = (0..=side).contains(&x) && (0..=side).contains(&y);
-        let (index, x, y) = match inside {
-            true => (index, x, y),
-            false => (
-                self.node(index).neighbours[edge as usize]?,
-                x - dx * side,
-                y - dy * side,
-            ),
+        let (page, x, y) = match inside {
+            true => (&node.page, x, y),
+            false => {
+                let neighbour = self.node(node.neighbours[edge as usize]?);
+                (&neighbour.page, x - dx * side, y - dy * side)
+            }
         };
-        let page = &self.node(index).page;
         let sample = y as usize * PAGE_SAMPLES + x as usize;
-        (level_step(page.depth()) <= step && page.is_valid(sample)).then(|| page.height(sample))
+        let known = level_step(page.depth()) <= step && page.is_valid(sample);
+        known.then(|| page.height(sample))
     }
 }

@@ -249,7 +249,7 @@ pub fn pipeline(
 
 fn vertex_layout() -> wgpu::VertexBufferLayout<'static> {
     const ATTRIBUTES: [wgpu::VertexAttribute; 2] =
-        wgpu::vertex_attr_array![0 => Sint32, 1 => Snorm8x4];
+        wgpu::vertex_attr_array![0 => Sint32, 1 => Snorm16x2];
     wgpu::VertexBufferLayout {
         array_stride: size_of::<Vertex>() as u64,
         step_mode: wgpu::VertexStepMode::Vertex,

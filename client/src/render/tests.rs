@@ -170,7 +170,7 @@ fn seam(georef: &Georef, torn: bool) -> Vec<PageMesh> {
             let origin = [x * 16, y * 16];
             let vertices = (0..289).map(|k: u32| Vertex {
                 height: bumps(origin[0] + k % 17 * stride, origin[1] + k / 17 * stride),
-                normal: [0, 0, 127, 0],
+                normal: [0, 0],
             });
             let fans = fans(stride == 1 && !torn);
             let end = [origin[0] + 16 * stride, origin[1] + 16 * stride];

@@ -11,13 +11,13 @@ struct Ground {
 fn vertex(
     @builtin(vertex_index) index: u32,
     @location(0) height: i32,
-    @location(1) normal: vec4f,
+    @location(1) normal: vec2f,
     page: Page,
 ) -> Ground {
     var ground: Ground;
     ground.from_eye = place(index, height, page);
     ground.clip = frame.clip_from_eye * vec4f(ground.from_eye, 1.0);
-    ground.normal = normal.xyz;
+    ground.normal = vec3f(normal, sqrt(max(1.0 - dot(normal, normal), 0.0)));
     ground.height = f32(height - frame.heights.y) * frame.range.x;
     return ground;
 }

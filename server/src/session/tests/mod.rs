@@ -1,6 +1,7 @@
 //! The session's core under virtual time, on a fake dataset.
 
 mod end;
+mod example;
 mod hostile;
 mod order;
 mod time;

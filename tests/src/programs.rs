@@ -1,0 +1,164 @@
+//! The programs as processes.
+
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitStatus, Output, Stdio};
+use std::sync::OnceLock;
+use std::sync::mpsc::{RecvTimeoutError, channel};
+use std::time::{Duration, Instant};
+
+/// A program that runs longer has failed: far above what any needs.
+const PATIENCE: Duration = Duration::from_secs(300);
+
+/// The folder of the programs. They are brought up to date once, as tests of this package alone
+/// do not build them.
+///
+/// # Panics
+/// If they do not build.
+fn folder() -> &'static Path {
+    static FOLDER: OnceLock<PathBuf> = OnceLock::new();
+    FOLDER.get_or_init(|| {
+        // TARGET/PROFILE/deps/TEST
+        let test = std::env::current_exe().expect("the test's own path");
+        let folder = test.ancestors().nth(2).expect("a target folder").to_path_buf();
+        let profile = match folder.file_name().and_then(|name| name.to_str()) {
+            None | Some("debug") => "dev",
+            Some(profile) => profile,
+        };
+        let cargo = std::env::var("CARGO").unwrap_or_else(|_| "cargo".into());
+        let built = Command::new(cargo)
+            .args(["build", "--quiet", "--workspace", "--bins", "--profile", profile])
+            .arg("--target-dir")
+            .arg(folder.parent().expect("a target folder"))
+            .current_dir(workspace())
+            .status();
+        assert!(built.expect("cargo runs").success(), "the programs do not build");
+        folder
+    })
+}
+
+/// The workspace's root.
+pub fn workspace() -> PathBuf {
+    PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/.."))
+}
+
+/// A call of one of the programs.
+pub fn program(name: &str) -> Command {
+    let mut command = Command::new(folder().join(name));
+    command.stdin(Stdio::null()).env_remove("RUST_LOG");
+    command
+}
+
+/// What a program printed, and how it ended.
+#[derive(Debug)]
+pub struct Ran {
+    /// Exit code; `None` if a signal ended it.
+    pub code: Option<i32>,
+    /// Standard output.
+    pub out: String,
+    /// Standard error.
+    pub err: String,
+}
+
+impl Ran {
+    /// The standard output of a program that did what it should.
+    ///
+    /// # Panics
+    /// If it did not.
+    pub fn ok(self) -> String {
+        assert_eq!(self.code, Some(0), "{self:?}");
+        self.out
+    }
+}
+
+/// Runs a program to its end.
+///
+/// # Panics
+/// If it does not start, or does not end.
+pub fn run(name: &str, arguments: &[&str]) -> Ran {
+    let mut command = program(name);
+    command.args(arguments).stdout(Stdio::piped()).stderr(Stdio::piped());
+    let child = command.spawn().unwrap_or_else(|error| panic!("{name}: {error}"));
+    let id = child.id();
+    let (sender, ended) = channel();
+    std::thread::spawn(move || sender.send(child.wait_with_output()));
+    match ended.recv_timeout(PATIENCE) {
+        Ok(output) => ran(output.expect("output")),
+        Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => {
+            send(id, "KILL");
+            panic!("{name} {arguments:?} did not end within {PATIENCE:?}");
+        }
+    }
+}
+
+fn ran(output: Output) -> Ran {
+    Ran {
+        code: output.status.code(),
+        out: String::from_utf8_lossy(&output.stdout).into_owned(),
+        err: String::from_utf8_lossy(&output.stderr).into_owned(),
+    }
+}
+
+/// `escarp-server` as a process, killed when dropped.
+pub struct ServerProcess {
+    child: Child,
+    /// The addresses that it printed, one a dataset.
+    pub urls: Vec<String>,
+}
+
+impl ServerProcess {
+    /// Starts it, and waits for the addresses of so many datasets.
+    ///
+    /// # Panics
+    /// If it does not print them.
+    pub fn start(datasets: &[&Path]) -> ServerProcess {
+        let mut command = program("escarp-server");
+        command.args(datasets).args(["--listen", "127.0.0.1:0"]);
+        let mut child = command.stdout(Stdio::piped()).spawn().expect("the server starts");
+        let out = child.stdout.take().expect("its output");
+        let (sender, lines) = channel();
+        std::thread::spawn(move || {
+            for line in BufReader::new(out).lines().map_while(Result::ok) {
+                let _ = sender.send(line);
+            }
+        });
+        let mut server = ServerProcess {
+            child,
+            urls: Vec::new(),
+        };
+        for _ in datasets {
+            let line = lines.recv_timeout(PATIENCE).expect("the server prints an address");
+            server.urls.push(line);
+        }
+        server
+    }
+
+    /// Sends a signal by name, and waits for the end.
+    ///
+    /// # Panics
+    /// If it goes on.
+    pub fn end(mut self, signal: &str) -> ExitStatus {
+        send(self.child.id(), signal);
+        let began = Instant::now();
+        loop {
+            if let Some(status) = self.child.try_wait().expect("its status") {
+                return status;
+            }
+            assert!(began.elapsed() < PATIENCE, "the server goes on after SIG{signal}");
+            std::thread::sleep(Duration::from_millis(10));
+        }
+    }
+}
+
+impl Drop for ServerProcess {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// Sends a signal to a process that this one started.
+fn send(process: u32, signal: &str) {
+    let sent = Command::new("sh").args(["-c", &format!("kill -s {signal} {process}")]).status();
+    assert!(sent.is_ok_and(|status| status.success()), "SIG{signal} is not sent");
+}
