@@ -133,16 +133,6 @@ impl Tests {
     pub fn fails(&self, error_m: f64, region: &WorldBox) -> bool {
         error_m > 0.0 && error_m * self.threshold > region.distance_m(self.eye_m)
     }
-
-    /// How many times over the tolerance the region is: above 1 exactly where
-    /// [`fails`](Self::fails) holds, up to rounding; infinite with the eye inside.
-    pub fn excess(&self, error_m: f64, region: &WorldBox) -> f64 {
-        if error_m > 0.0 {
-            error_m * self.threshold / region.distance_m(self.eye_m)
-        } else {
-            0.0
-        }
-    }
 }
 
 /// A region's error in metres: its bound in quanta, and where an outline crosses it at least half

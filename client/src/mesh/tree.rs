@@ -1,6 +1,7 @@
 //! The resident pages and how they hang together.
 
 use super::page_mesh::PageMesh;
+use super::update::Findings;
 use super::vertices::VertexState;
 use super::wants::Wishes;
 use escarp_proto::geometry::{Edge, GridLevels, PAGE_CELLS, PAGE_SAMPLES, PageId, Slot};
@@ -71,6 +72,8 @@ pub(super) struct Node {
     /// World `x` and `y` of its columns and rows of samples, metres.
     pub(super) columns_m: [f64; PAGE_SAMPLES],
     pub(super) rows_m: [f64; PAGE_SAMPLES],
+    /// What its last visit came to.
+    pub(super) findings: Findings,
     pub(super) mesh: PageMesh,
     /// The mesh's triangles are not up to date.
     pub(super) stale_triangles: bool,
@@ -87,6 +90,9 @@ pub struct MeshTree {
     free: Vec<Index>,
     pub(super) by_id: HashMap<PageId, Index>,
     pub(super) wishes: Wishes,
+    /// Eye of the last update, and the length of its way so far, metres.
+    pub(super) eye_m: Option<[f64; 3]>,
+    pub(super) travel_m: f64,
     pub(super) updates: u64,
     pub(super) changes: u64,
     pub(super) stamps: u64,
@@ -102,6 +108,8 @@ impl MeshTree {
             free: Vec::new(),
             by_id: HashMap::new(),
             wishes: Wishes::default(),
+            eye_m: None,
+            travel_m: 0.0,
             updates: 0,
             changes: 0,
             stamps: 0,
@@ -225,6 +233,7 @@ impl MeshTree {
             vertices: Box::new([VertexState::default(); PAGE_AREA]),
             enabled: 0,
             last_use: self.updates,
+            findings: Findings::NONE,
             stale_triangles: true,
             stale_vertices: Stale::ALL,
         }
@@ -264,6 +273,7 @@ impl MeshTree {
         let node = self.node_mut(index);
         node.page = page;
         node.bounds = bounds;
+        node.findings = Findings::NONE;
         node.stale_vertices = Stale::ALL;
         node.stale_triangles = true;
         let neighbours = node.neighbours;

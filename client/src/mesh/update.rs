@@ -32,14 +32,50 @@ struct Pass {
     half_diagonals_m: Vec<f64>,
     excess: f64,
     squares: u64,
+    /// What the page that is being visited has come to.
+    page: Findings,
+}
+
+/// What the tests of one page's squares came to, and for how long that stays so.
+///
+/// All tests compare a fixed length with a distance from the eye, and a distance changes by no
+/// more than the eye moves. So until the eye has moved by the smallest difference, every test of
+/// the page comes out as it did; and where no test failed, the bound stays within the tolerance.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Findings {
+    /// Smallest difference of the two sides of a test, metres.
+    slack_m: f64,
+    /// Largest bound of a triangle that stands, seen or not, over the tolerance.
+    excess: f64,
+    /// Way of the eye until then, metres, and threshold then.
+    travel_m: f64,
+    threshold: f64,
+}
+
+impl Findings {
+    /// Of a page that has not been visited, or has changed since.
+    pub(super) const NONE: Findings = Findings {
+        slack_m: 0.0,
+        excess: f64::INFINITY,
+        travel_m: 0.0,
+        threshold: 0.0,
+    };
+
+    fn still_hold(&self, travel_m: f64, threshold: f64) -> bool {
+        // The way is a sum of rounded steps: hold back more than their rounding.
+        let moved_m = (travel_m - self.travel_m) * (1.0 + 1e-9);
+        self.excess <= 1.0 && self.threshold == threshold && moved_m < self.slack_m
+    }
 }
 
 impl MeshTree {
-    /// Tests every triangle of the mesh against a view, enables and disables what follows, and
-    /// collects what is wanted. The view must be checked.
+    /// Tests the triangles of the mesh against a view, enables and disables what follows, and
+    /// collects what is wanted. The view must be checked. Pages in which no test can have changed
+    /// since they were visited are passed over.
     pub fn update(&mut self, view: &View) -> UpdateStats {
         let before = self.changes;
         self.updates += 1;
+        self.travel(view.eye_m);
         let mut pass = Pass {
             tests: Tests::of(view),
             frustum: Frustum::of(view),
@@ -49,6 +85,7 @@ impl MeshTree {
                 .collect(),
             excess: 0.0,
             squares: 0,
+            page: Findings::NONE,
         };
         loop {
             pass.excess = 0.0;
@@ -67,6 +104,15 @@ impl MeshTree {
         }
     }
 
+    /// Adds to the eye's way, in the measure of [`WorldBox::distance_m`].
+    fn travel(&mut self, eye_m: [f64; 3]) {
+        if let Some(last) = self.eye_m {
+            let step = (0..3).map(|axis| (eye_m[axis] - last[axis]).abs());
+            self.travel_m += step.fold(0.0, f64::max);
+        }
+        self.eye_m = Some(eye_m);
+    }
+
     fn run(&mut self, pass: &mut Pass) {
         let Some(&root) = self.by_id.get(&PageId::ROOT) else {
             pass.excess = f64::INFINITY;
@@ -74,10 +120,42 @@ impl MeshTree {
             self.wishes.blocked = false;
             return self.want_page(PageId::ROOT, f64::INFINITY);
         };
-        self.enable_root(root);
-        self.visit(pass, root, PageSquare::ROOT);
         // Squares that are enabled for others' sake need no visit in this update: errors and boxes
         // are nested, so no test of theirs can fail where the test above them has passed.
+        self.enable_root(root);
+        let mut pages = vec![root];
+        while let Some(index) = pages.pop() {
+            self.visit_page(pass, index);
+            let enabled = |&(_, child): &(Slot, Index)| {
+                let centre = (child, PageSquare::ROOT.centre() as u16);
+                self.is_enabled(centre).then_some(child)
+            };
+            pages.extend(self.node(index).children.iter().filter_map(enabled));
+        }
+    }
+
+    /// Visits the squares of a page, or passes it over.
+    fn visit_page(&mut self, pass: &mut Pass, index: Index) {
+        let (now, travel_m) = (self.updates, self.travel_m);
+        let threshold = pass.tests.threshold;
+        let node = self.node_mut(index);
+        node.last_use = now;
+        if node.findings.still_hold(travel_m, threshold) {
+            // No triangle of it is beyond the tolerance; how far below does not matter.
+            let any = node.findings.excess > 0.0;
+            if any && pass.excess < 1.0 && pass.frustum.may_see(&node.mesh.bounds) {
+                pass.excess = 1.0;
+            }
+            return;
+        }
+        pass.page = Findings {
+            slack_m: f64::INFINITY,
+            excess: 0.0,
+            travel_m,
+            threshold,
+        };
+        self.visit(pass, index, PageSquare::ROOT);
+        self.node_mut(index).findings = pass.page;
     }
 
     /// Links pages below flat and empty cells. Whether there were any.
@@ -97,33 +175,20 @@ impl MeshTree {
         linked
     }
 
-    /// Tests the triangles of a square whose centre is enabled, and of all below.
+    /// Tests the triangles of a square whose centre is enabled, and of all below it in its page.
     fn visit(&mut self, pass: &mut Pass, index: Index, square: PageSquare) {
         pass.squares += 1;
-        if square.level == 0 {
-            let now = self.updates;
-            self.node_mut(index).last_use = now;
-        }
         let (level, column, row) = (square.level, square.column as usize, square.row as usize);
-        let errors = *self.node(index).bounds.square(level, column, row);
-        let page_level = self.node(index).page.id().level();
+        let node = self.node(index);
+        let errors = *node.bounds.square(level, column, row);
+        let page_level = node.page.id().level();
         let half_diagonal_m = pass.half_diagonals_m[usize::from(page_level + level)];
         for edge in Edge::ALL {
             let at = edge as usize;
-            let error_m = error_m(
-                errors.edges[at],
-                errors.kinds[at],
-                pass.quantum_m,
-                half_diagonal_m,
-            );
+            let error_m = error_m(errors.edges[at], errors.kinds[at], pass.quantum_m, half_diagonal_m);
             let region = edge_box(self.node(index), square, edge, errors.range, pass.quantum_m);
             let vertex = (index, square.edge(edge) as u16);
-            let fails = pass.tests.fails(error_m, &region);
-            let excess = pass.tests.excess(error_m, &region);
-            if fails {
-                self.wishes.in_view = pass.frustum.may_see(&region);
-                self.wishes.blocked = false;
-            }
+            let (fails, excess) = self.test(pass, error_m, &region);
             self.ask(vertex, edge.into(), fails, excess);
             if !self.is_enabled(vertex) {
                 pass.stands(excess, &region);
@@ -132,6 +197,22 @@ impl MeshTree {
         for quadrant in Quadrant::ALL {
             self.visit_quadrant(pass, index, square, quadrant);
         }
+    }
+
+    /// Whether a triangle's error is beyond the tolerance, and how many times over it is.
+    fn test(&mut self, pass: &mut Pass, error_m: f64, region: &WorldBox) -> (bool, f64) {
+        if error_m <= 0.0 {
+            return (false, 0.0);
+        }
+        let distance_m = region.distance_m(pass.tests.eye_m);
+        let reach_m = error_m * pass.tests.threshold;
+        let fails = reach_m > distance_m;
+        pass.page.slack_m = pass.page.slack_m.min((reach_m - distance_m).abs());
+        if fails {
+            self.wishes.in_view = pass.frustum.may_see(region);
+            self.wishes.blocked = false;
+        }
+        (fails, reach_m / distance_m)
     }
 
     fn visit_quadrant(
@@ -158,18 +239,17 @@ impl MeshTree {
             false => error_m(below.error, below.kind, pass.quantum_m, half_diagonal_m),
         };
         let region = child_box(node, square, quadrant, below.range, pass.quantum_m);
-        let fails = pass.tests.fails(error_m, &region);
-        let excess = pass.tests.excess(error_m, &region);
-        if fails {
-            self.wishes.in_view = pass.frustum.may_see(&region);
-            self.wishes.blocked = false;
-        }
+        let (fails, excess) = self.test(pass, error_m, &region);
         match self.square_below(index, child) {
             Some((page, square)) => {
                 let centre = (page, square.centre() as u16);
                 self.ask(centre, Asker::First, fails, excess);
                 if self.is_enabled(centre) {
-                    return self.visit(pass, page, square);
+                    // A page below is visited by itself.
+                    if page == index {
+                        self.visit(pass, page, square);
+                    }
+                    return;
                 }
             }
             None if fails => self.want_below(index, child, excess),
@@ -202,6 +282,7 @@ impl MeshTree {
 impl Pass {
     /// A triangle stands as it is.
     fn stands(&mut self, excess: f64, region: &WorldBox) {
+        self.page.excess = self.page.excess.max(excess);
         if excess > self.excess && self.frustum.may_see(region) {
             self.excess = excess;
         }
