@@ -175,7 +175,7 @@ fi
 # --- Or pictures -----------------------------------------------------------------------------
 
 # Pictures of an earlier run would pass for those of this one.
-pictures=demo/$name
+pictures=demo/$name.pictures
 rm -rf "$pictures"
 mkdir -p "$pictures"
 say "no window: writing pictures into $pictures/"

@@ -102,7 +102,10 @@ impl RemoteTerrain {
                 }
                 Event::Refused {
                     fatal: true, text, ..
-                } => self.refused = Some(text),
+                } => {
+                    // The link says what the server's text is about.
+                    self.refused = Some(self.link.trouble().map_or(text, str::to_owned));
+                }
                 Event::Refused { .. }
                 | Event::Idle { .. }
                 | Event::GenChange { .. }

@@ -22,7 +22,7 @@ pub fn georef_of(info: &DemInfo, quantum_m: f64) -> Georef {
             },
         ),
         Crs::Geographic { name, radius_m } => geographic(info, name, *radius_m, south),
-        Crs::Local => ([place.x0, south], [place.dx, place.dy], Plane::Local),
+        Crs::Local => ([0.0, 0.0], [place.dx, place.dy], Plane::Local),
     };
     Georef {
         origin_m,

@@ -24,6 +24,7 @@ pub struct Driver {
     pub client: RemoteTerrain,
     began: Instant,
     news: Receiver<()>,
+    first_picture: Option<Duration>,
 }
 
 impl Driver {
@@ -38,12 +39,27 @@ impl Driver {
             client,
             began: Instant::now(),
             news,
+            first_picture: None,
         }
     }
 
     /// Time since the beginning.
     pub fn now(&self) -> Duration {
         self.began.elapsed()
+    }
+
+    /// When there were triangles to draw for the first time, since the beginning.
+    pub fn first_picture(&self) -> Option<Duration> {
+        self.first_picture
+    }
+
+    /// One step of the client.
+    pub fn step(&mut self, view: &View) -> StepStats {
+        let stats = self.client.step(view, self.began.elapsed());
+        if stats.triangles > 0 && self.first_picture.is_none() {
+            self.first_picture = Some(self.began.elapsed());
+        }
+        stats
     }
 
     /// Waits for the server to say what the dataset is.
@@ -60,7 +76,7 @@ impl Driver {
             max_screen_error_px: 1024.0,
         };
         loop {
-            self.client.step(&any, self.began.elapsed());
+            self.step(&any);
             if let Some(manifest) = self.client.manifest() {
                 return Ok(manifest);
             }
@@ -86,7 +102,7 @@ impl Driver {
         view.check()?;
         let until = self.now() + wait;
         loop {
-            let stats = self.client.step(view, self.began.elapsed());
+            let stats = self.step(view);
             if let Some(failure) = self.client.failure() {
                 bail!(failure);
             }
@@ -214,8 +230,7 @@ pub fn fly(
             driver.settle(&view, Duration::from_secs(60))?
         } else {
             wait_until(driver, began + Duration::from_secs_f64(time_s));
-            let now = driver.now();
-            driver.client.step(&view, now)
+            driver.step(&view)
         };
         if let Some(failure) = driver.client.failure() {
             bail!(failure);

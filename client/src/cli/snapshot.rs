@@ -30,14 +30,18 @@ pub(super) fn run(args: &SnapshotArgs) -> Result<()> {
     let (eye, look) = args.look.resolve(&manifest);
     let view = look_at(eye, look, FOV_Y, args.look.size.0, args.look.error_px);
     view.check()?;
+    // The first wishes travel while the adapter is being opened.
+    driver.step(&view);
     let mut painter = Painter::new(&manifest, args.look.size.0)?;
     let stats = driver.settle(&view, wait)?;
+    let first_s = driver.first_picture().map_or(f64::NAN, |t| t.as_secs_f64());
     let settled_s = driver.now().as_secs_f64();
     let image = painter.paint(&driver.client, view, args.look.wireframe)?;
     save(&image, &args.output)?;
     println!(
         "{}: {} triangles, {} pages, {} bytes received, error bound {:.3} px of {} px; \
-         connected after {connected_s:.3} s, all here after {settled_s:.3} s",
+         connected after {connected_s:.3} s, first triangles after {first_s:.3} s, all here after \
+         {settled_s:.3} s",
         args.output.display(),
         stats.triangles,
         stats.pages_resident,

@@ -84,7 +84,9 @@ pub(super) fn run(args: &BuildArgs) -> Result<ExitCode> {
             "bytes": bytes, "bits_a_sample": bytes as f64 * 8.0 / samples as f64,
             "storage_error_m": manifest.storage_error_m, "wall_s": wall_s,
             "cpu_s": usage.map(|u| u.cpu_s), "peak_memory_bytes": usage.map(|u| u.peak_memory_bytes),
-            "overlaps": overlaps.map(|o| format!("{o:?}")),
+            "overlaps": overlaps.map(|o| json!({
+                "overlapping": o.overlapping, "differing": o.differing, "largest_m": o.largest_m,
+            })),
         });
         println!("{summary:#}");
         return Ok(ExitCode::SUCCESS);
@@ -99,7 +101,8 @@ pub(super) fn run(args: &BuildArgs) -> Result<ExitCode> {
     );
     println!(
         "stored in steps of {} m; largest difference from the input {} m",
-        manifest.georef.quantum_m, manifest.storage_error_m
+        manifest.georef.quantum_m,
+        rounded_up(manifest.storage_error_m)
     );
     if let Some(overlaps) = overlaps {
         print_overlaps(&overlaps);
@@ -116,6 +119,16 @@ pub(super) fn run(args: &BuildArgs) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
+/// To a millionth, for people.
+pub(super) fn rounded_up(metres: f64) -> f64 {
+    (metres * 1e6).ceil() / 1e6
+}
+
 fn print_overlaps(overlaps: &OverlapReport) {
-    println!("overlaps: {overlaps:?}");
+    let OverlapReport {
+        overlapping,
+        differing,
+        largest_m,
+    } = overlaps;
+    println!("inputs overlap at {overlapping} samples and differ at {differing}, by at most {largest_m} m");
 }

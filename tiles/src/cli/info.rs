@@ -52,7 +52,8 @@ pub(super) fn run(args: &InfoArgs) -> Result<ExitCode> {
     }
     println!(
         "quantum     {} m; largest difference from the sources {} m",
-        georef.quantum_m, manifest.storage_error_m
+        georef.quantum_m,
+        super::build::rounded_up(manifest.storage_error_m)
     );
     println!(
         "grid        {} levels, {} pages",

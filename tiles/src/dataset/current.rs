@@ -50,14 +50,21 @@ impl Current {
         }
         let generation = lines.next()?.strip_prefix("generation ")?.parse().ok()?;
         let (bytes, crc) = lines.next()?.strip_prefix("manifest ")?.split_once(' ')?;
-        if lines.next().is_some() || crc.len() != 8 {
-            return None;
-        }
-        Some(Current {
+        let current = Current {
             generation,
             manifest_bytes: bytes.parse().ok()?,
             manifest_crc32c: u32::from_str_radix(crc, 16).ok()?,
-        })
+        };
+        // Byte for byte what a writer writes: anything else was changed since.
+        (current.text() == text).then_some(current)
+    }
+
+    /// The file's content.
+    fn text(&self) -> String {
+        format!(
+            "escarp 1\ngeneration {}\nmanifest {} {:08x}\n",
+            self.generation, self.manifest_bytes, self.manifest_crc32c
+        )
     }
 
     /// Path of the manifest that this names.
@@ -69,7 +76,12 @@ impl Current {
     pub(super) fn read_manifest(&self, folder: &Path) -> Result<Vec<u8>, DatasetError> {
         let path = self.manifest_path(folder);
         let found = fs::metadata(&path)
-            .map_err(DatasetError::io(&path, "read length"))?
+            .map_err(|source| match source.kind() {
+                ErrorKind::NotFound => {
+                    DatasetError::damaged(&path, "the file is missing, but CURRENT names it")
+                }
+                _ => DatasetError::io(&path, "read length")(source),
+            })?
             .len();
         if found != self.manifest_bytes || found > MAX_MANIFEST_BYTES as u64 {
             let said = self.manifest_bytes;
@@ -93,12 +105,8 @@ impl Current {
         let path = current_path(folder);
         let mut file = tempfile::NamedTempFile::new_in(folder)
             .map_err(DatasetError::io(folder, "create a file in the folder"))?;
-        let text = format!(
-            "escarp 1\ngeneration {}\nmanifest {} {:08x}\n",
-            self.generation, self.manifest_bytes, self.manifest_crc32c
-        );
         let written = file
-            .write_all(text.as_bytes())
+            .write_all(self.text().as_bytes())
             .and_then(|()| file.as_file().sync_all());
         written.map_err(DatasetError::io(&path, "write"))?;
         file.persist(&path)
