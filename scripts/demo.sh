@@ -7,7 +7,7 @@ repo=$(cd "$(dirname "$0")/.." && pwd)
 
 # By the environment, since make passes them so.
 dem=${DEM-} name=${NAME-} port=${PORT:-0} build_options=${ARGS-} headless=${HEADLESS-}
-server_pid='' private=''
+server_pid='' running_pid='' private=''
 
 say() { echo "demo: $*"; }
 fail() {
@@ -19,6 +19,7 @@ fail() {
 clean_up() {
     local status=$?
     trap - EXIT INT TERM HUP
+    [ -z "$running_pid" ] || kill "$running_pid" 2>/dev/null || true
     if [ -n "$server_pid" ] && kill "$server_pid" 2>/dev/null; then
         wait "$server_pid" 2>/dev/null || true
         say 'server stopped'
@@ -30,6 +31,16 @@ trap clean_up EXIT
 trap 'exit 130' INT
 trap 'exit 143' TERM
 trap 'exit 129' HUP
+
+# run COMMAND...: so that a signal ends it at once; bash would wait for a command in the foreground.
+run() {
+    local status=0
+    "$@" &
+    running_pid=$!
+    wait "$running_pid" || status=$?
+    running_pid=''
+    return "$status"
+}
 
 # --- What is asked for? ----------------------------------------------------------------------
 
@@ -58,7 +69,7 @@ else
     for word in ${words[@]+"${words[@]}"}; do
         word=${word/#\~\//$HOME/}
         if [ ! -e "$word" ] && matches=$(compgen -G "$word"); then
-            while IFS= read -r match; do take "$match"; done <<<"$matches"
+            while IFS= read -r match; do take "$match"; done < <(sort <<<"$matches")
         else
             take "$word"
         fi
@@ -107,7 +118,7 @@ mkdir -p demo
 if [ ${#inputs[@]} -eq 0 ]; then
     if [ ! -s demo/demo.tif ] || [ "$tiles" -nt demo/demo.tif ]; then
         say 'making a synthetic DEM: demo/demo.tif'
-        "$tiles" sample -o demo/part.tif --size 4097 --seed 42
+        run "$tiles" sample -o demo/part.tif --size 4097 --seed 42
         mv demo/part.tif demo/demo.tif
     fi
     inputs=("$repo/demo/demo.tif")
@@ -133,7 +144,7 @@ else
     say "building the dataset $dataset"
     rm -f "$stamp"
     begun=$SECONDS
-    "$tiles" build "${inputs[@]}" -o "$dataset" --overwrite ${options[@]+"${options[@]}"} ||
+    run "$tiles" build "${inputs[@]}" -o "$dataset" --overwrite ${options[@]+"${options[@]}"} ||
         fail "the dataset was not built; the reason stands above. 'escarp-tiles build --help' lists what ARGS can say"
     build_s=$((SECONDS - begun))
     made_of >"$stamp"
@@ -167,7 +178,7 @@ if [ -z "${XDG_RUNTIME_DIR-}" ]; then
 fi
 if [ $display = yes ]; then
     say 'opening the viewer; closing its window ends the demo'
-    "$client" view "$url" ||
+    run "$client" view "$url" ||
         fail "the viewer failed; the reason stands above. 'make demo HEADLESS=1' writes pictures instead"
     exit 0
 fi
@@ -179,14 +190,17 @@ pictures=demo/$name.pictures
 rm -rf "$pictures"
 mkdir -p "$pictures"
 say "no window: writing pictures into $pictures/"
+# snapshot FILE OPTION...: FILE takes what the client says.
 snapshot() {
-    "$client" snapshot "$url" "$@" || fail 'no picture could be made; the reason stands above'
+    local said=$1
+    shift
+    run "$client" snapshot "$url" "$@" >"$said" || fail 'no picture could be made; the reason stands above'
 }
-overview=$(snapshot -o "$pictures/overview.png")
+snapshot "$pictures/overview.txt" -o "$pictures/overview.png"
 first_picture=$((SECONDS - compiled))
-wireframe=$(snapshot -o "$pictures/wireframe.png" --wireframe --error-px 4)
+snapshot "$pictures/wireframe.txt" -o "$pictures/wireframe.png" --wireframe --error-px 4
 say 'flying from the overview down and low across, in real time'
-"$client" fly "$url" -o "$pictures/flight" --every 60 >"$pictures/flight.jsonl" 2>"$pictures/flight.log" || {
+run "$client" fly "$url" -o "$pictures/flight" --every 60 >"$pictures/flight.jsonl" 2>"$pictures/flight.log" || {
     cat "$pictures/flight.log" >&2
     fail 'the flight failed; the reason stands above'
 }
@@ -214,13 +228,14 @@ flight() {
     echo "input       ${inputs[0]}$([ ${#inputs[@]} -eq 1 ] || echo " and $((${#inputs[@]} - 1)) more")"
     echo "dataset     $dataset, $(du -sk "$dataset" | awk '{ printf "%.1f MB", $1 * 1.024e-3 }'), $(
         [ $fresh = yes ] && echo 'from an earlier run' || echo "built in ${build_s} s")"
-    echo "overview    $overview"
-    echo "wireframe   $wireframe"
+    echo "overview    $(cat "$pictures/overview.txt")"
+    echo "wireframe   $(cat "$pictures/wireframe.txt")"
     echo "flight      $(flight "$pictures/flight.jsonl")"
     echo "pictures    $pictures/overview.png, wireframe.png, flight/frame-*.png ($(
         find "$pictures/flight" -name '*.png' | wc -l | tr -d ' '))"
     echo "times       first picture ${first_picture} s, all $((SECONDS - compiled)) s after compilation"
-    echo "window      $client view URL, with $server $dataset running"
+    echo "by hand     $server $dataset"
+    echo "            $client view http://127.0.0.1:8787/$name"
 } >"$pictures/summary.txt"
 echo
 cat "$pictures/summary.txt"

@@ -140,6 +140,14 @@ impl TerrainClient for RemoteTerrain {
             .map(|terrain| terrain.manifest().clone())
     }
 
+    fn poll(&mut self, now: Duration) {
+        self.now = now;
+        self.connection.drive(&mut self.link, now);
+        self.handle_events();
+        // What the events led to is sent at once.
+        self.connection.drive(&mut self.link, now);
+    }
+
     fn step(&mut self, view: &View, now: Duration) -> StepStats {
         self.now = now;
         self.connection.drive(&mut self.link, now);

@@ -13,16 +13,31 @@ pub fn triangles(tree: &MeshTree) -> Vec<SurfaceTriangle> {
     triangles
 }
 
-/// Checks that the triangles cover the grid without crack or overlap: every edge that is not on
-/// the border of the grid lies in exactly two triangles, in opposite directions, and the areas add
-/// up; and that drawn triangles agree on the height of each vertex.
+/// Checks that there is no crack: that the triangles [cover](check_cover) the grid, and that drawn
+/// ones agree on the height of each vertex.
 ///
 /// # Errors
 /// What is wrong, and where.
 pub fn check_cracks(tree: &MeshTree, cells_per_side: u32) -> Result<usize, String> {
+    let mut heights: HashMap<(u32, u32), i32> = HashMap::new();
+    for triangle in triangles(tree).iter().filter(|triangle| triangle.drawn) {
+        for (x, y, height) in triangle.corners {
+            if *heights.entry((x, y)).or_insert(height) != height {
+                return Err(format!("vertex {x}, {y} has two heights"));
+            }
+        }
+    }
+    check_cover(tree, cells_per_side)
+}
+
+/// Checks that the triangles cover the grid without gap or overlap: every edge that is not on the
+/// border of the grid lies in exactly two triangles, in opposite directions, and the areas add up.
+///
+/// # Errors
+/// What is wrong, and where.
+pub fn check_cover(tree: &MeshTree, cells_per_side: u32) -> Result<usize, String> {
     let triangles = triangles(tree);
     let mut edges: HashMap<((u32, u32), (u32, u32)), i32> = HashMap::new();
-    let mut heights: HashMap<(u32, u32), i32> = HashMap::new();
     let mut area: i128 = 0;
     for triangle in &triangles {
         let [a, b, c] = triangle.corners.map(|(x, y, _)| (x, y));
@@ -44,11 +59,6 @@ pub fn check_cracks(tree: &MeshTree, cells_per_side: u32) -> Result<usize, Strin
             let seen = edges.entry(key).or_insert(0);
             let direction = if forward { 1 } else { 16 };
             *seen += direction;
-        }
-        for (x, y, height) in triangle.corners {
-            if triangle.drawn && *heights.entry((x, y)).or_insert(height) != height {
-                return Err(format!("vertex {x}, {y} has two heights"));
-            }
         }
     }
     let side = i128::from(cells_per_side);

@@ -11,7 +11,7 @@ use escarp_proto::wire::{
 use escarp_tests::files::flip;
 use escarp_tests::host::{Host, PATIENCE};
 use escarp_tests::liar::{Liar, chunk};
-use escarp_tests::measure::{check_cracks, measure};
+use escarp_tests::measure::{check_cover, check_cracks, measure};
 use escarp_tests::terrain::{TempDataset, hash, hills};
 use futures_util::{SinkExt, StreamExt};
 use std::net::SocketAddr;
@@ -92,10 +92,16 @@ async fn pester(address: SocketAddr, seed: u32) {
         return;
     }
     for i in 0..8 {
-        if socket.send(rubbish(hash(seed, i))).await.is_err() {
+        // A server that no longer listens to it is left in the middle of the message.
+        let said = timeout(Duration::from_millis(300), socket.send(rubbish(hash(seed, i)))).await;
+        if !matches!(said, Ok(Ok(()))) {
             return;
         }
-        while let Ok(Some(Ok(_))) = timeout(Duration::from_millis(2), socket.next()).await {}
+        for _ in 0..50 {
+            if timeout(Duration::from_millis(2), socket.next()).await.is_err() {
+                break;
+            }
+        }
     }
 }
 
@@ -134,14 +140,14 @@ fn clients_that_say_rubbish_do_not_disturb_one_that_behaves() {
     let mut driver = host.client("moon");
     driver.connect(PATIENCE).expect("a session");
     let mut turns = 0;
-    while turns < 6 || (rounds.load(Ordering::Relaxed) < 12 && driver.now() < PATIENCE) {
+    while turns < 6 || (rounds.load(Ordering::Relaxed) < 5 && driver.now() < PATIENCE) {
         for error_px in [8.0, 1.0] {
             let stats = driver.settle(&view(&data, error_px), PATIENCE).expect("it goes on");
             assert!(stats.converged, "{stats:?} {}", driver.client.status());
         }
         turns += 1;
     }
-    assert!(rounds.load(Ordering::Relaxed) >= 12, "too little rubbish");
+    assert!(rounds.load(Ordering::Relaxed) >= 5, "too little rubbish");
     over.store(true, Ordering::Relaxed);
     hostile.join().expect("the hostile clients end");
     assert_eq!(driver.client.status(), "connected");
@@ -155,7 +161,7 @@ fn pages(chunk: Chunk) -> Vec<u8> {
     ServerMessage::Pages(vec![chunk]).encode()
 }
 
-/// Runs a client against a lie until a condition holds; never is there a crack.
+/// Runs a client against a lie until a condition holds; never do its triangles leave a gap.
 fn deceive(
     data: &TempDataset,
     lie: impl Fn(Chunk) -> Vec<Vec<u8>> + Send + Sync + 'static,
@@ -170,7 +176,8 @@ fn deceive(
         let now = driver.now();
         let stats = driver.client.step(&view, now);
         if let Some(terrain) = driver.client.terrain() {
-            check_cracks(terrain.tree(), cells).unwrap_or_else(|why| panic!("{what}: {why}"));
+            // Heights may be lies; the triangles still cover the plane.
+            check_cover(terrain.tree(), cells).unwrap_or_else(|why| panic!("{what}: {why}"));
         }
         assert!(now < PATIENCE, "{what}: stuck: {} {stats:?}", driver.client.status());
         driver.nap(NAP);
@@ -266,9 +273,9 @@ fn pages_without_end_that_nobody_wants_take_no_memory() {
     let driver = deceive(&data, lie, "a flood", |driver| driver.client.is_settled());
     let flood_bytes = u64::from(sent.load(Ordering::Relaxed)) * 8000;
     assert!(flood_bytes > 20 << 20, "{flood_bytes} bytes are no flood");
-    // No more pages than the dataset has, whatever came.
-    let most = data.dataset.manifest().pages as usize;
-    assert!(resident(&driver) <= most, "{} of {most} pages", resident(&driver));
+    // Not one page more than without the flood.
+    let honest = deceive(&data, |chunk| vec![pages(chunk)], "truth", |d| d.client.is_settled());
+    assert_eq!(resident(&driver), resident(&honest));
     assert_eq!(driver.client.rejected_pages(), 0);
 }
 

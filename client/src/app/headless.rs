@@ -67,16 +67,8 @@ impl Driver {
     /// # Errors
     /// What the server, or the system, said instead; or that nothing was said in time.
     pub fn connect(&mut self, wait: Duration) -> Result<Arc<Manifest>> {
-        let any = View {
-            eye_m: [0.0; 3],
-            direction: [0.0, 1.0, 0.0],
-            velocity_m_s: [0.0; 3],
-            fov_y: 1.0,
-            viewport_px: [1, 1],
-            max_screen_error_px: 1024.0,
-        };
         loop {
-            self.step(&any);
+            self.client.poll(self.began.elapsed());
             if let Some(manifest) = self.client.manifest() {
                 return Ok(manifest);
             }

@@ -21,6 +21,10 @@ pub trait TerrainClient {
     /// The dataset's manifest, once it is known.
     fn manifest(&self) -> Option<Arc<Manifest>>;
 
+    /// Lets the connection go on while there is no view to step for. `now` is the time since the
+    /// program began.
+    fn poll(&mut self, _now: Duration) {}
+
     /// Brings pages and mesh up to date for a view. `now` is the time since the program began.
     fn step(&mut self, view: &View, now: Duration) -> StepStats;
 
@@ -36,7 +40,7 @@ pub trait TerrainClient {
 }
 
 /// Where a client stands after a step.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StepStats {
     /// Triangles of the mesh.
     pub triangles: u64,
@@ -54,4 +58,20 @@ pub struct StepStats {
     pub converged: bool,
     /// What the step took, milliseconds.
     pub update_ms: f32,
+}
+
+impl Default for StepStats {
+    /// Before anything is here: nobody knows a bound.
+    fn default() -> StepStats {
+        StepStats {
+            triangles: 0,
+            bytes_received: 0,
+            pages_wanted: 0,
+            pages_in_flight: 0,
+            pages_resident: 0,
+            bound_px: f64::INFINITY,
+            converged: false,
+            update_ms: 0.0,
+        }
+    }
 }

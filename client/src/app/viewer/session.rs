@@ -121,7 +121,10 @@ impl Session {
                 let view = world.camera.view(size, self.settings.error_px);
                 step_differs(&client.step(&view, now), &self.facts.step)
             }
-            (None, _) => client.manifest().is_some(),
+            (None, _) => {
+                client.poll(now);
+                client.manifest().is_some()
+            }
             (_, None) => false,
         }
     }
@@ -229,6 +232,9 @@ impl Session {
         let elapsed = now - self.last.replace(now).unwrap_or(now);
         if now > self.message_until {
             self.facts.message.clear();
+        }
+        if self.world.is_none() {
+            client.poll(now);
         }
         self.enter_world(client);
         self.facts.status = client.status();
