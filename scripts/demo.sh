@@ -9,7 +9,9 @@ repo=$(cd "$(dirname "$0")/.." && pwd)
 dem=${DEM-} name=${NAME-} port=${PORT:-0} build_options=${ARGS-} headless=${HEADLESS-}
 server_pid='' running_pid='' private=''
 
-say() { echo "demo: $*"; }
+# The trap may speak while a command's output goes to a file.
+exec 3>&1
+say() { echo "demo: $*" >&3; }
 fail() {
     echo "demo: $*" >&2
     exit 1
@@ -104,7 +106,7 @@ if [ $display = yes ]; then scripts/setup.sh --window || status=$?; else scripts
 [ "$status" -eq 0 ] || exit "$status"
 
 say 'building the programs (the first time takes minutes)'
-cargo build --release --workspace --bins --locked
+run cargo build --release --workspace --bins --locked
 compiled=$SECONDS
 target=$(cargo metadata --no-deps --format-version 1 --locked |
     sed -n 's/.*"target_directory":"\([^"]*\)".*/\1/p')
