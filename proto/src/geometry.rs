@@ -27,7 +27,7 @@ pub const PAGE_SLOTS: usize = PAGE_CELLS * PAGE_CELLS;
 /// The deepest grid: `2^28` cells a side. It keeps a page's key within 64 bits.
 pub const MAX_GRID_LEVELS: u8 = 28;
 
-const _: () = assert!(MAX_GRID_LEVELS % PAGE_LEVELS == 0);
+const _: () = assert!(MAX_GRID_LEVELS.is_multiple_of(PAGE_LEVELS));
 
 /// One of a square's four edges, which names the edge vertex in its middle as well.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]

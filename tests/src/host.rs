@@ -53,15 +53,23 @@ impl Host {
         for (name, source) in sources {
             catalog.add(name, source.clone()).expect("a name");
         }
-        let runtime = Builder::new_multi_thread().worker_threads(2).enable_all().build();
+        let runtime = Builder::new_multi_thread()
+            .worker_threads(2)
+            .enable_all()
+            .build();
         let runtime = runtime.expect("a runtime");
         let listener = runtime.block_on(TcpListener::bind(("127.0.0.1", port)));
         let listener = listener.unwrap_or_else(|error| panic!("port {port} is not free: {error}"));
         let address = listener.local_addr().expect("an address");
         let (stop, stopped) = oneshot::channel();
-        let served = runtime.spawn(serve(listener, Arc::new(catalog), Limits::default(), async {
-            let _ = stopped.await;
-        }));
+        let served = runtime.spawn(serve(
+            listener,
+            Arc::new(catalog),
+            Limits::default(),
+            async {
+                let _ = stopped.await;
+            },
+        ));
         Host {
             address,
             runtime: Some(runtime),
@@ -80,7 +88,9 @@ impl Host {
     /// # Panics
     /// If the name cannot stand in an address.
     pub fn url(&self, name: &str) -> Url {
-        format!("http://{}/{name}", self.address).parse().expect("an address")
+        format!("http://{}/{name}", self.address)
+            .parse()
+            .expect("an address")
     }
 
     /// A client of a dataset.
@@ -96,7 +106,10 @@ impl Host {
         drop(self.stop.take());
         if let (Some(runtime), Some(served)) = (&self.runtime, self.served.take()) {
             let ended = runtime.block_on(async { tokio::time::timeout(PATIENCE, served).await });
-            ended.expect("the server ends").expect("without panic").expect("in order");
+            ended
+                .expect("the server ends")
+                .expect("without panic")
+                .expect("in order");
         }
     }
 }

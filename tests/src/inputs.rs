@@ -53,7 +53,26 @@ pub fn write_tiff(
         Registered::Cell => 1,
     };
     let keys: [u16; 20] = [
-        1, 1, 0, 4, 1024, 0, 1, 1, 1025, 0, 1, raster_type, 3072, 0, 1, 32632, 3076, 0, 1, 9001,
+        1,
+        1,
+        0,
+        4,
+        1024,
+        0,
+        1,
+        1,
+        1025,
+        0,
+        1,
+        raster_type,
+        3072,
+        0,
+        1,
+        32632,
+        3076,
+        0,
+        1,
+        9001,
     ];
     let scale = [STEP_M[0], STEP_M[1], 0.0];
     let tie = [0.0, 0.0, 0.0, TIE_M[0], TIE_M[1], 0.0];
@@ -80,7 +99,10 @@ pub fn write_tiff(
 /// The bytes of an SRTM tile.
 pub fn hgt_bytes(heights: impl Fn(u32, u32) -> f64) -> Vec<u8> {
     let samples = by_rows([HGT_SIDE; 2], &heights);
-    samples.iter().flat_map(|v| (*v as i16).to_be_bytes()).collect()
+    samples
+        .iter()
+        .flat_map(|v| (*v as i16).to_be_bytes())
+        .collect()
 }
 
 /// A zip with one file in it.
@@ -89,7 +111,8 @@ pub fn hgt_bytes(heights: impl Fn(u32, u32) -> f64) -> Vec<u8> {
 /// If it cannot be written.
 pub fn write_zip(path: &Path, name: &str, content: &[u8]) {
     let mut zip = zip::ZipWriter::new(File::create(path).unwrap());
-    zip.start_file(name, zip::write::SimpleFileOptions::default()).unwrap();
+    zip.start_file(name, zip::write::SimpleFileOptions::default())
+        .unwrap();
     zip.write_all(content).unwrap();
     zip.finish().unwrap();
 }
@@ -100,9 +123,14 @@ pub fn write_zip(path: &Path, name: &str, content: &[u8]) {
 /// If it cannot be written.
 pub fn write_png(path: &Path, [width, height]: [u32; 2], greys: impl Fn(u32, u32) -> f64) {
     let samples = by_rows([width, height], &greys);
-    let bytes: Vec<u8> = samples.iter().flat_map(|v| (*v as u16).to_ne_bytes()).collect();
+    let bytes: Vec<u8> = samples
+        .iter()
+        .flat_map(|v| (*v as u16).to_ne_bytes())
+        .collect();
     let encoder = PngEncoder::new(File::create(path).unwrap());
-    encoder.write_image(&bytes, width, height, ExtendedColorType::L16).unwrap();
+    encoder
+        .write_image(&bytes, width, height, ExtendedColorType::L16)
+        .unwrap();
 }
 
 fn by_rows([width, height]: [u32; 2], heights: &impl Fn(u32, u32) -> f64) -> Vec<f64> {

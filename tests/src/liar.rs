@@ -31,9 +31,14 @@ impl Liar {
     /// # Panics
     /// If it does not start.
     pub fn start(dataset: Dataset, lie: Box<Lie>) -> Liar {
-        let runtime = Builder::new_multi_thread().worker_threads(1).enable_all().build();
+        let runtime = Builder::new_multi_thread()
+            .worker_threads(1)
+            .enable_all()
+            .build();
         let runtime = runtime.expect("a runtime");
-        let listener = runtime.block_on(TcpListener::bind("127.0.0.1:0")).expect("a port");
+        let listener = runtime
+            .block_on(TcpListener::bind("127.0.0.1:0"))
+            .expect("a port");
         let port = listener.local_addr().expect("an address").port();
         let (dataset, lie) = (Arc::new(dataset), Arc::from(lie));
         runtime.spawn(async move {

@@ -13,6 +13,8 @@ pub mod measure;
 
 pub mod host;
 
+pub mod drive;
+
 pub mod liar;
 
 pub mod programs;

@@ -37,7 +37,7 @@ pub fn check_cracks(tree: &MeshTree, cells_per_side: u32) -> Result<usize, Strin
 /// What is wrong, and where.
 pub fn check_cover(tree: &MeshTree, cells_per_side: u32) -> Result<usize, String> {
     let triangles = triangles(tree);
-    let mut edges: HashMap<((u32, u32), (u32, u32)), i32> = HashMap::new();
+    let mut edges: HashMap<[(u32, u32); 2], i32> = HashMap::new();
     let mut area: i128 = 0;
     for triangle in &triangles {
         let [a, b, c] = triangle.corners.map(|(x, y, _)| (x, y));
@@ -55,7 +55,7 @@ pub fn check_cover(tree: &MeshTree, cells_per_side: u32) -> Result<usize, String
         area += twice;
         for (p, q) in [(a, b), (b, c), (c, a)] {
             let forward = p < q;
-            let key = if forward { (p, q) } else { (q, p) };
+            let key = if forward { [p, q] } else { [q, p] };
             let seen = edges.entry(key).or_insert(0);
             let direction = if forward { 1 } else { 16 };
             *seen += direction;
@@ -68,7 +68,7 @@ pub fn check_cover(tree: &MeshTree, cells_per_side: u32) -> Result<usize, String
             2 * side * side
         ));
     }
-    for ((p, q), seen) in edges {
+    for ([p, q], seen) in edges {
         let border = |w: u32| w == 0 || w == cells_per_side;
         let on_border = (p.0 == q.0 && border(p.0)) || (p.1 == q.1 && border(p.1));
         let right = if on_border {

@@ -6,6 +6,7 @@ use std::process::{Child, Command, ExitStatus, Output, Stdio};
 use std::sync::OnceLock;
 use std::sync::mpsc::{RecvTimeoutError, channel};
 use std::time::{Duration, Instant};
+use tempfile::TempDir;
 
 /// A program that runs longer has failed: far above what any needs.
 const PATIENCE: Duration = Duration::from_secs(300);
@@ -20,19 +21,33 @@ fn folder() -> &'static Path {
     FOLDER.get_or_init(|| {
         // TARGET/PROFILE/deps/TEST
         let test = std::env::current_exe().expect("the test's own path");
-        let folder = test.ancestors().nth(2).expect("a target folder").to_path_buf();
+        let folder = test
+            .ancestors()
+            .nth(2)
+            .expect("a target folder")
+            .to_path_buf();
         let profile = match folder.file_name().and_then(|name| name.to_str()) {
             None | Some("debug") => "dev",
             Some(profile) => profile,
         };
         let cargo = std::env::var("CARGO").unwrap_or_else(|_| "cargo".into());
         let built = Command::new(cargo)
-            .args(["build", "--quiet", "--workspace", "--bins", "--profile", profile])
+            .args([
+                "build",
+                "--quiet",
+                "--workspace",
+                "--bins",
+                "--profile",
+                profile,
+            ])
             .arg("--target-dir")
             .arg(folder.parent().expect("a target folder"))
             .current_dir(workspace())
             .status();
-        assert!(built.expect("cargo runs").success(), "the programs do not build");
+        assert!(
+            built.expect("cargo runs").success(),
+            "the programs do not build"
+        );
         folder
     })
 }
@@ -78,8 +93,13 @@ impl Ran {
 /// If it does not start, or does not end.
 pub fn run(name: &str, arguments: &[&str]) -> Ran {
     let mut command = program(name);
-    command.args(arguments).stdout(Stdio::piped()).stderr(Stdio::piped());
-    let child = command.spawn().unwrap_or_else(|error| panic!("{name}: {error}"));
+    command
+        .args(arguments)
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped());
+    let child = command
+        .spawn()
+        .unwrap_or_else(|error| panic!("{name}: {error}"));
     let id = child.id();
     let (sender, ended) = channel();
     std::thread::spawn(move || sender.send(child.wait_with_output()));
@@ -115,7 +135,10 @@ impl ServerProcess {
     pub fn start(datasets: &[&Path]) -> ServerProcess {
         let mut command = program("escarp-server");
         command.args(datasets).args(["--listen", "127.0.0.1:0"]);
-        let mut child = command.stdout(Stdio::piped()).spawn().expect("the server starts");
+        let mut child = command
+            .stdout(Stdio::piped())
+            .spawn()
+            .expect("the server starts");
         let out = child.stdout.take().expect("its output");
         let (sender, lines) = channel();
         std::thread::spawn(move || {
@@ -128,7 +151,9 @@ impl ServerProcess {
             urls: Vec::new(),
         };
         for _ in datasets {
-            let line = lines.recv_timeout(PATIENCE).expect("the server prints an address");
+            let line = lines
+                .recv_timeout(PATIENCE)
+                .expect("the server prints an address");
             server.urls.push(line);
         }
         server
@@ -145,7 +170,10 @@ impl ServerProcess {
             if let Some(status) = self.child.try_wait().expect("its status") {
                 return status;
             }
-            assert!(began.elapsed() < PATIENCE, "the server goes on after SIG{signal}");
+            assert!(
+                began.elapsed() < PATIENCE,
+                "the server goes on after SIG{signal}"
+            );
             std::thread::sleep(Duration::from_millis(10));
         }
     }
@@ -160,6 +188,53 @@ impl Drop for ServerProcess {
 
 /// Sends a signal to a process that this one started.
 fn send(process: u32, signal: &str) {
-    let sent = Command::new("sh").args(["-c", &format!("kill -s {signal} {process}")]).status();
-    assert!(sent.is_ok_and(|status| status.success()), "SIG{signal} is not sent");
+    let sent = Command::new("sh")
+        .args(["-c", &format!("kill -s {signal} {process}")])
+        .status();
+    assert!(
+        sent.is_ok_and(|status| status.success()),
+        "SIG{signal} is not sent"
+    );
+}
+
+/// A folder for one test, and the names of files in it.
+pub struct Desk(TempDir);
+
+impl Desk {
+    /// An empty folder.
+    ///
+    /// # Panics
+    /// If the system refuses.
+    #[allow(clippy::new_without_default, reason = "it makes a folder")]
+    pub fn new() -> Desk {
+        Desk(TempDir::new().expect("a temporary folder"))
+    }
+
+    /// The path of a file.
+    pub fn path(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    /// The path of a file, as an argument.
+    ///
+    /// # Panics
+    /// If it is not UTF-8.
+    pub fn name(&self, name: &str) -> String {
+        self.path(name).to_str().expect("UTF-8").to_owned()
+    }
+
+    /// A sample DEM and the dataset of it.
+    ///
+    /// # Panics
+    /// If a program fails.
+    pub fn dataset(&self) -> PathBuf {
+        let (tif, out) = (self.name("demo.tif"), self.name("demo.escarp"));
+        run(
+            "escarp-tiles",
+            &["sample", "-o", &tif, "--size", "300", "--seed", "3"],
+        )
+        .ok();
+        run("escarp-tiles", &["build", &tif, "-o", &out]).ok();
+        self.path("demo.escarp")
+    }
 }

@@ -8,6 +8,9 @@ use escarp_tiles::dem::{Crs, DemError, DemInfo, DemSource, Placement, Registrati
 use std::path::{Path, PathBuf};
 use tempfile::TempDir;
 
+/// Height in metres of a column and row, row 0 the northern one; NaN is a hole.
+pub type Heights = fn(u32, u32) -> f64;
+
 /// Heights of a grid from a function of column and row, row 0 the northern one; NaN is a hole.
 pub struct FunctionSource<F> {
     info: DemInfo,

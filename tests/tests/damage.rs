@@ -4,14 +4,14 @@
 use escarp_client::app::TerrainClient;
 use escarp_proto::geometry::PageId;
 use escarp_proto::page::last_part;
-use escarp_proto::view::View;
 use escarp_proto::wire::{
     Class, ClientMessage, Hello, Miss, MissReason, PROTOCOL, ServerMessage, Want,
 };
+use escarp_tests::drive::view_over;
 use escarp_tests::files::{Copy, files, flip};
 use escarp_tests::host::{Host, PATIENCE};
 use escarp_tests::measure::{check_cracks, measure};
-use escarp_tests::terrain::{TempDataset, hills, holed_hills};
+use escarp_tests::terrain::{Heights, TempDataset, hills, holed_hills};
 use escarp_tiles::dataset::Dataset;
 use futures_util::{SinkExt, StreamExt};
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -26,7 +26,10 @@ fn refused(copy: &Copy, names: &[&str], what: &str) {
     let error = verdict.expect_err(what);
     let named = names.iter().any(|name| error.contains(name));
     let placed = error.contains(&copy.path().display().to_string());
-    assert!(named && placed, "{what}: none of {names:?} is named: {error}");
+    assert!(
+        named && placed,
+        "{what}: none of {names:?} is named: {error}"
+    );
 }
 
 /// The files that a message about one of them may name: `CURRENT` says which manifest there is, so
@@ -48,7 +51,7 @@ fn a_dataset_has_the_files_of_its_format_and_no_others() {
 
 #[test]
 fn a_changed_byte_anywhere_is_found_and_its_file_named() {
-    for (seed, heights) in [(1, hills as fn(u32, u32) -> f64), (2, holed_hills)] {
+    for (seed, heights) in [(1, hills as Heights), (2, holed_hills)] {
         let data = TempDataset::of(100, 80, heights);
         let copy = Copy::of(&data.path());
         for name in files(&data.path()) {
@@ -56,7 +59,11 @@ fn a_changed_byte_anywhere_is_found_and_its_file_named() {
             for round in 0..300 {
                 let mut at = 0;
                 copy.change(&name, |bytes| at = flip(bytes, seed * 1000 + round));
-                refused(&copy, &culprits(&name), &format!("{name}, byte {at}, round {round}"));
+                refused(
+                    &copy,
+                    &culprits(&name),
+                    &format!("{name}, byte {at}, round {round}"),
+                );
                 std::fs::write(copy.path().join(&name), &sound).unwrap();
             }
         }
@@ -74,12 +81,20 @@ fn a_file_cut_short_anywhere_or_longer_is_found_and_named() {
         for to in lengths {
             let copy = Copy::of(&data.path());
             copy.change(&name, |bytes| bytes.truncate(to));
-            refused(&copy, &culprits(&name), &format!("{name}, {to} of {length} bytes"));
+            refused(
+                &copy,
+                &culprits(&name),
+                &format!("{name}, {to} of {length} bytes"),
+            );
         }
         for more in [&b"\n"[..], b"\0", b"x", &[0; 5000]] {
             let copy = Copy::of(&data.path());
             copy.change(&name, |bytes| bytes.extend(more));
-            refused(&copy, &culprits(&name), &format!("{name}, {} more bytes", more.len()));
+            refused(
+                &copy,
+                &culprits(&name),
+                &format!("{name}, {} more bytes", more.len()),
+            );
         }
     }
 }
@@ -103,7 +118,11 @@ fn a_file_of_another_dataset_is_found_and_named() {
     for name in files(&data.path()) {
         let copy = Copy::of(&data.path());
         std::fs::copy(other.path().join(&name), copy.path().join(&name)).unwrap();
-        refused(&copy, &culprits(&name), &format!("{name} of another dataset"));
+        refused(
+            &copy,
+            &culprits(&name),
+            &format!("{name} of another dataset"),
+        );
     }
 }
 
@@ -119,28 +138,22 @@ fn records_that_changed_places_are_found() {
     refused(&copy, &["seg-1-0"], "a rotated segment");
 }
 
-/// A view of all of a small terrain.
-fn view(data: &TempDataset, error_px: f32) -> View {
-    let extent = data.dataset.manifest().extent_m();
-    let middle = extent.map(|[low, high]| (low + high) / 2.0);
-    View {
-        eye_m: [middle[0], extent[1][0] - 400.0, extent[2][1] + 600.0],
-        direction: [0.0, 0.8, -0.6],
-        velocity_m_s: [0.0; 3],
-        fov_y: 1.2,
-        viewport_px: [1280, 720],
-        max_screen_error_px: error_px,
-    }
-}
-
 /// A dataset with one damaged record, that of a finest page in the middle.
 fn damaged(data: &TempDataset) -> (Copy, Dataset, PageId) {
     let level = data.dataset.grid().finest_page_level();
     let page = PageId::new(level, 3, 2).expect("a page");
-    let record = data.dataset.record(page).expect("sound").expect("stored").bytes.to_vec();
+    let record = data
+        .dataset
+        .record(page)
+        .expect("sound")
+        .expect("stored")
+        .bytes
+        .to_vec();
     let copy = Copy::of(&data.path());
     copy.change("seg-1-0", |bytes| {
-        let at = bytes.windows(record.len()).position(|window| window == record);
+        let at = bytes
+            .windows(record.len())
+            .position(|window| window == record);
         bytes[at.expect("the record") + record.len() / 2] ^= 0x10;
     });
     let dataset = Dataset::open(&copy.path()).expect("records are checked when they are read");
@@ -153,7 +166,10 @@ async fn ask(
     message: ClientMessage,
     fits: impl Fn(&ServerMessage) -> bool,
 ) -> ServerMessage {
-    socket.send(Message::binary(message.encode())).await.expect("it is sent");
+    socket
+        .send(Message::binary(message.encode()))
+        .await
+        .expect("it is sent");
     let answer = async {
         while let Some(message) = socket.next().await {
             let message = ServerMessage::decode(&message.expect("open").into_data());
@@ -164,7 +180,9 @@ async fn ask(
         }
         panic!("the server closed the session");
     };
-    tokio::time::timeout(PATIENCE, answer).await.expect("an answer")
+    tokio::time::timeout(PATIENCE, answer)
+        .await
+        .expect("an answer")
 }
 
 #[test]
@@ -182,10 +200,15 @@ fn a_server_says_which_page_is_damaged_and_goes_on() {
             priority: 1.0,
         }])
     };
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build()
+        .unwrap();
     runtime.block_on(async {
         let url = format!("ws://{}/session", host.address());
-        let (mut socket, _) = tokio_tungstenite::connect_async(url).await.expect("a session");
+        let (mut socket, _) = tokio_tungstenite::connect_async(url)
+            .await
+            .expect("a session");
         let hello = ClientMessage::Hello(Hello {
             oldest: PROTOCOL,
             newest: PROTOCOL,
@@ -195,13 +218,28 @@ fn a_server_says_which_page_is_damaged_and_goes_on() {
             credit_bytes: 1 << 20,
             token: None,
         });
-        ask(&mut socket, hello, |m| matches!(m, ServerMessage::Welcome(_))).await;
+        ask(&mut socket, hello, |m| {
+            matches!(m, ServerMessage::Welcome(_))
+        })
+        .await;
         for _ in 0..3 {
-            let miss = ask(&mut socket, want(page), |m| matches!(m, ServerMessage::Miss(_))).await;
+            let miss = ask(&mut socket, want(page), |m| {
+                matches!(m, ServerMessage::Miss(_))
+            })
+            .await;
             let reason = MissReason::Damaged;
-            assert_eq!(miss, ServerMessage::Miss(Miss { page: page.key(), reason }));
+            assert_eq!(
+                miss,
+                ServerMessage::Miss(Miss {
+                    page: page.key(),
+                    reason
+                })
+            );
             let sound = PageId::new(level, 0, 0).unwrap();
-            ask(&mut socket, want(sound), |m| matches!(m, ServerMessage::Pages(_))).await;
+            ask(&mut socket, want(sound), |m| {
+                matches!(m, ServerMessage::Pages(_))
+            })
+            .await;
         }
     });
 }
@@ -214,19 +252,37 @@ fn a_client_goes_on_without_a_damaged_page_has_no_cracks_and_states_what_it_lack
     let host = Host::of("moon", dataset);
     let mut driver = host.client("moon");
     driver.connect(PATIENCE).expect("a session");
-    let exact = view(&data, 0.05);
-    let stats = driver.settle(&exact, PATIENCE).expect("the session goes on");
+    let exact = view_over(&data, 0.05);
+    let stats = driver
+        .settle(&exact, PATIENCE)
+        .expect("the session goes on");
     assert!(driver.client.is_settled(), "{stats:?}");
     let tree = driver.client.terrain().expect("a terrain").tree();
-    assert!(tree.page(page).is_none() && tree.resident() > 40, "{} pages", tree.resident());
+    assert!(
+        tree.page(page).is_none() && tree.resident() > 40,
+        "{} pages",
+        tree.resident()
+    );
     check_cracks(tree, cells).unwrap_or_else(|why| panic!("{why}"));
     // More than the tolerance, and still true.
     let excess = stats.bound_px / f64::from(exact.max_screen_error_px);
-    assert!(!stats.converged && excess.is_finite() && excess > 1.0, "{stats:?}");
+    assert!(
+        !stats.converged && excess.is_finite() && excess > 1.0,
+        "{stats:?}"
+    );
     let found = measure(tree, &data, &exact, true);
     assert!(found.largest <= excess + 1e-9, "{found:?}, stated {excess}");
-    assert!(driver.client.status().contains("connected"), "{}", driver.client.status());
+    assert!(
+        driver.client.status().contains("connected"),
+        "{}",
+        driver.client.status()
+    );
     // What the page is not needed for, converges.
-    let coarse = view(&data, 500.0);
-    assert!(driver.settle(&coarse, PATIENCE).expect("the session goes on").converged);
+    let coarse = view_over(&data, 500.0);
+    assert!(
+        driver
+            .settle(&coarse, PATIENCE)
+            .expect("the session goes on")
+            .converged
+    );
 }

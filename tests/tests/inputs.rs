@@ -23,7 +23,10 @@ fn build(folder: &Path, source: &mut dyn DemSource, quantum: Quantum) -> Dataset
     let dataset = Dataset::open(&path).expect("it opens");
     let found = compare(&dataset, source, &|_, _| {}).expect("it compares");
     let promised_m = dataset.manifest().storage_error_m;
-    assert!(found.largest_difference_m <= promised_m, "{found:?}, promised {promised_m}");
+    assert!(
+        found.largest_difference_m <= promised_m,
+        "{found:?}, promised {promised_m}"
+    );
     assert_eq!((found.missing, found.invented), (0, 0));
     dataset
 }
@@ -40,7 +43,11 @@ fn visit(dataset: &Dataset, mut visit: impl FnMut(u32, u32, Option<[f64; 3]>)) {
     for y in 0..height {
         for x in 0..width {
             let sample = samples[(y * width + x) as usize];
-            visit(x, y, sample.map(|sample| dataset.manifest().georef.world(x, y, sample)));
+            visit(
+                x,
+                y,
+                sample.map(|sample| dataset.manifest().georef.world(x, y, sample)),
+            );
         }
     }
 }
@@ -64,7 +71,9 @@ fn a_ramp_in_a_geotiff_comes_out_exact_grid_and_cell_registered() {
                     first[1] - f64::from(row) * STEP_M[1],
                 ]
             };
-            write_tiff(&path, SIZE, registered, stored, |column, row| ramp(at(column, row)));
+            write_tiff(&path, SIZE, registered, stored, |column, row| {
+                ramp(at(column, row))
+            });
             let options = OpenOptions::default();
             let dataset = build_files(folder.path(), std::slice::from_ref(&path), &options);
             let what = format!("{registered:?} {stored:?}");
@@ -73,7 +82,10 @@ fn a_ramp_in_a_geotiff_comes_out_exact_grid_and_cell_registered() {
             visit(&dataset, |x, y, place| {
                 let [east, north, up] = place.expect("no holes");
                 assert_eq!([east, north], at(x, SIZE[1] - 1 - y), "{what}");
-                assert!((up - ramp([east, north])).abs() < 1e-9, "{what} {x} {y}: {up}");
+                assert!(
+                    (up - ramp([east, north])).abs() < 1e-9,
+                    "{what} {x} {y}: {up}"
+                );
             });
         }
     }
@@ -119,7 +131,10 @@ fn check_degrees(dataset: &Dataset, is_hole: impl Fn(f64, f64) -> bool) {
             return;
         };
         assert!(!is_hole(east, north), "no hole at {east}, {north}");
-        assert!((up - degrees_ramp(east, north)).abs() < 1e-5, "{east} {north}: {up}");
+        assert!(
+            (up - degrees_ramp(east, north)).abs() < 1e-5,
+            "{east} {north}: {up}"
+        );
     });
     let samples = dataset.manifest().samples;
     assert_eq!(
@@ -131,7 +146,10 @@ fn check_degrees(dataset: &Dataset, is_hole: impl Fn(f64, f64) -> bool) {
 #[test]
 fn a_ramp_in_an_srtm_tile_comes_out_exact_plain_and_zipped() {
     let folder = TempDir::new().unwrap();
-    let (plain, zipped) = (folder.path().join("N10E020.hgt"), folder.path().join("a.hgt.zip"));
+    let (plain, zipped) = (
+        folder.path().join("N10E020.hgt"),
+        folder.path().join("a.hgt.zip"),
+    );
     std::fs::write(&plain, tile(20, 10)).unwrap();
     write_zip(&zipped, "N10E020.hgt", &tile(20, 10));
     let mut datasets = [plain, zipped].map(|path| {
@@ -147,14 +165,18 @@ fn a_ramp_in_an_srtm_tile_comes_out_exact_plain_and_zipped() {
 fn srtm_tiles_with_a_missing_one_become_one_ramp_with_a_hole() {
     let folder = TempDir::new().unwrap();
     let tiles = [(20, 10), (21, 10), (20, 11)].map(|(longitude, latitude)| {
-        let path = folder.path().join(format!("N{latitude}E{longitude:03}.hgt"));
+        let path = folder
+            .path()
+            .join(format!("N{latitude}E{longitude:03}.hgt"));
         std::fs::write(&path, tile(longitude, latitude)).unwrap();
         path
     });
     let dataset = build_files(folder.path(), &tiles, &OpenOptions::default());
     assert_eq!(dataset.manifest().samples, [2 * HGT_SIDE - 1; 2]);
     // The edges that the missing tile shares belong to its neighbours, too.
-    check_degrees(&dataset, |east, north| east > 21.0 + 1e-9 && north > 11.0 + 1e-9);
+    check_degrees(&dataset, |east, north| {
+        east > 21.0 + 1e-9 && north > 11.0 + 1e-9
+    });
 }
 
 #[test]
@@ -190,7 +212,10 @@ fn floating_point_heights_are_stored_without_loss_if_so_wished() {
     let dataset = build(folder.path(), source.as_mut(), Quantum::Lossless);
     assert_eq!(dataset.manifest().storage_error_m, 0.0);
     visit(&dataset, |x, y, place| {
-        assert_eq!(place.map(|place| place[2]), Some(height(x, SIZE[1] - 1 - y)));
+        assert_eq!(
+            place.map(|place| place[2]),
+            Some(height(x, SIZE[1] - 1 - y))
+        );
     });
     // By default they are stored in centimetres, and the difference is stated.
     let dataset = build(folder.path(), source.as_mut(), Quantum::Natural);
@@ -203,7 +228,11 @@ fn the_synthetic_terrain_is_the_same_through_a_file() {
     let folder = TempDir::new().unwrap();
     let path = folder.path().join("sample.tif");
     escarp_tiles::synth::write_geotiff(&path, 130, 5).unwrap();
-    let direct = build(folder.path(), &mut SynthSource::new(130, 5), Quantum::Metres(0.01));
+    let direct = build(
+        folder.path(),
+        &mut SynthSource::new(130, 5),
+        Quantum::Metres(0.01),
+    );
     let (georef, samples) = (direct.manifest().georef.clone(), read_samples(&direct));
     let options = OpenOptions::default();
     let dataset = build_files(folder.path(), std::slice::from_ref(&path), &options);

@@ -1,37 +1,10 @@
-//! The three programs as a user runs them: files, output, messages, exit codes.
+//! The three programs as a user runs them: files, output, pictures, signals.
 
-use escarp_tests::inputs::{Registered, Stored, write_png, write_tiff};
-use escarp_tests::programs::{Ran, ServerProcess, run};
+use escarp_tests::programs::{Desk, ServerProcess, run};
 use serde_json::Value;
 use std::io::{Read, Write};
 use std::net::TcpStream;
-use std::path::{Path, PathBuf};
-use tempfile::TempDir;
-
-/// A folder for one test, and the names of files in it.
-struct Desk(TempDir);
-
-impl Desk {
-    fn new() -> Desk {
-        Desk(TempDir::new().expect("a temporary folder"))
-    }
-
-    fn path(&self, name: &str) -> PathBuf {
-        self.0.path().join(name)
-    }
-
-    fn name(&self, name: &str) -> String {
-        self.path(name).to_str().expect("UTF-8").to_owned()
-    }
-
-    /// A sample DEM and the dataset of it.
-    fn dataset(&self) -> PathBuf {
-        let (tif, out) = (self.name("demo.tif"), self.name("demo.escarp"));
-        run("escarp-tiles", &["sample", "-o", &tif, "--size", "300", "--seed", "3"]).ok();
-        run("escarp-tiles", &["build", &tif, "-o", &out]).ok();
-        self.path("demo.escarp")
-    }
-}
+use std::path::Path;
 
 fn json(text: &str) -> Value {
     serde_json::from_str(text).unwrap_or_else(|error| panic!("{error}: {text}"))
@@ -41,7 +14,11 @@ fn json(text: &str) -> Value {
 fn a_dem_is_made_built_described_and_verified() {
     let desk = Desk::new();
     let (tif, out) = (desk.name("demo.tif"), desk.name("demo.escarp"));
-    run("escarp-tiles", &["sample", "-o", &tif, "--size", "300", "--seed", "3"]).ok();
+    run(
+        "escarp-tiles",
+        &["sample", "-o", &tif, "--size", "300", "--seed", "3"],
+    )
+    .ok();
     let built = run("escarp-tiles", &["build", &tif, "-o", &out, "--jobs", "1"]).ok();
     assert!(built.contains("300 x 300 samples"), "{built}");
     let info = json(&run("escarp-tiles", &["info", &out, "--json"]).ok());
@@ -49,17 +26,25 @@ fn a_dem_is_made_built_described_and_verified() {
     assert_eq!(info["manifest"]["samples"], serde_json::json!([300, 300]));
     assert_eq!(info["manifest"]["sources"], serde_json::json!(["demo.tif"]));
     let text = run("escarp-tiles", &["info", &out]).ok();
-    assert!(text.contains("300 x 300") && text.contains("demo.tif"), "{text}");
+    assert!(
+        text.contains("300 x 300") && text.contains("demo.tif"),
+        "{text}"
+    );
     let verify = ["verify", &out, "--full", "--json", "--against", &tif];
     let report = json(&run("escarp-tiles", &verify).ok());
     assert_eq!(report["bounds"]["broken"], serde_json::json!([]));
     assert_eq!(report["against"]["samples"], 90_000);
     assert_eq!(report["against"]["missing"], 0);
-    let largest_m = report["against"]["largest_difference_m"].as_f64().expect("a number");
+    let largest_m = report["against"]["largest_difference_m"]
+        .as_f64()
+        .expect("a number");
     assert!(largest_m <= report["storage_error_m"].as_f64().expect("a number"));
     // The same again, with as many threads as it likes: the same bytes, once it may.
     let again = run("escarp-tiles", &["build", &tif, "-o", &out]);
-    assert!(again.code == Some(1) && again.err.contains("--overwrite"), "{again:?}");
+    assert!(
+        again.code == Some(1) && again.err.contains("--overwrite"),
+        "{again:?}"
+    );
     let other = desk.name("other.escarp");
     run("escarp-tiles", &["build", &tif, "-o", &other, "--json"]).ok();
     let segment = |folder: &str| std::fs::read(Path::new(folder).join("seg-1-0")).unwrap();
@@ -71,19 +56,31 @@ fn verifying_against_another_dem_fails() {
     let desk = Desk::new();
     let out = desk.dataset().to_str().expect("UTF-8").to_owned();
     let other = desk.name("other.tif");
-    run("escarp-tiles", &["sample", "-o", &other, "--size", "300", "--seed", "4"]).ok();
+    run(
+        "escarp-tiles",
+        &["sample", "-o", &other, "--size", "300", "--seed", "4"],
+    )
+    .ok();
     let verified = run("escarp-tiles", &["verify", &out, "--against", &other]);
     assert_eq!(verified.code, Some(1), "{verified:?}");
 }
 
 /// One HTTP request, and all that is answered.
 fn get(url: &str, path: &str) -> String {
-    let host = url.strip_prefix("http://").and_then(|rest| rest.split('/').next());
+    let host = url
+        .strip_prefix("http://")
+        .and_then(|rest| rest.split('/').next());
     let host = host.expect("an address");
     let mut stream = TcpStream::connect(host).expect("the server listens");
-    write!(stream, "GET {path} HTTP/1.1\r\nhost: {host}\r\nconnection: close\r\n\r\n").unwrap();
+    write!(
+        stream,
+        "GET {path} HTTP/1.1\r\nhost: {host}\r\nconnection: close\r\n\r\n"
+    )
+    .unwrap();
     let mut answer = String::new();
-    stream.read_to_string(&mut answer).expect("an answer in UTF-8");
+    stream
+        .read_to_string(&mut answer)
+        .expect("an answer in UTF-8");
     answer
 }
 
@@ -96,20 +93,35 @@ fn a_dataset_is_served_drawn_and_flown_and_the_server_ends_on_sigterm() {
     let desk = Desk::new();
     let server = ServerProcess::start(&[&desk.dataset()]);
     let url = server.urls[0].clone();
-    assert!(url.starts_with("http://127.0.0.1:") && url.ends_with("/demo"), "{url}");
+    assert!(
+        url.starts_with("http://127.0.0.1:") && url.ends_with("/demo"),
+        "{url}"
+    );
     assert!(get(&url, "/healthz").starts_with("HTTP/1.1 200"));
     assert!(get(&url, "/datasets").contains("demo"));
 
     let picture = desk.name("demo.png");
-    let said = run("escarp-client", &["snapshot", &url, "-o", &picture, "--size", "160x90"]).ok();
-    assert!(said.contains("triangles") && said.contains("demo.png"), "{said}");
+    let said = run(
+        "escarp-client",
+        &["snapshot", &url, "-o", &picture, "--size", "160x90"],
+    )
+    .ok();
+    assert!(
+        said.contains("triangles") && said.contains("demo.png"),
+        "{said}"
+    );
     let image = image::open(&picture).expect("a picture").to_rgb8();
     assert_eq!(image.dimensions(), (160, 90));
-    assert!(image.pixels().any(|pixel| pixel != image.get_pixel(0, 0)), "one colour");
+    assert!(
+        image.pixels().any(|pixel| pixel != image.get_pixel(0, 0)),
+        "one colour"
+    );
 
     let (path, frames) = (desk.name("flight.json"), desk.name("frames"));
     std::fs::write(&path, FLIGHT).unwrap();
-    let fly = ["fly", &url, "--path", &path, "-o", &frames, "--every", "5", "--settle"];
+    let fly = [
+        "fly", &url, "--path", &path, "-o", &frames, "--every", "5", "--settle",
+    ];
     let lines = run("escarp-client", &fly).ok();
     let lines: Vec<Value> = lines.lines().map(json).collect();
     assert!(lines.len() >= 10, "{} frames", lines.len());
@@ -125,14 +137,27 @@ fn a_dataset_is_served_drawn_and_flown_and_the_server_ends_on_sigterm() {
     }
     assert!(std::fs::read_dir(&frames).expect("the folder").count() >= 3);
 
-    let wrong = run("escarp-client", &["snapshot", &format!("{url}x"), "-o", &picture]);
-    assert!(wrong.code == Some(1) && wrong.err.contains("demo"), "{wrong:?}");
+    let wrong = run(
+        "escarp-client",
+        &["snapshot", &format!("{url}x"), "-o", &picture],
+    );
+    assert!(
+        wrong.code == Some(1) && wrong.err.contains("demo"),
+        "{wrong:?}"
+    );
     let bare = url.trim_end_matches("demo");
-    run("escarp-client", &["snapshot", bare, "-o", &picture, "--size", "16x9"]).ok();
+    run(
+        "escarp-client",
+        &["snapshot", bare, "-o", &picture, "--size", "16x9"],
+    )
+    .ok();
 
     assert_eq!(server.end("TERM").code(), Some(0));
     let gone = run("escarp-client", &["snapshot", &url, "-o", &picture]);
-    assert!(gone.code == Some(1) && gone.err.contains("no server listens"), "{gone:?}");
+    assert!(
+        gone.code == Some(1) && gone.err.contains("no server listens"),
+        "{gone:?}"
+    );
 }
 
 #[test]
@@ -146,104 +171,23 @@ fn several_datasets_get_an_address_each_and_an_interrupt_ends_the_server() {
     }
     let server = ServerProcess::start(&[&two, &one]);
     assert!(server.urls[0].ends_with("/demo"), "{:?}", server.urls);
-    assert!(server.urls[1].ends_with("/second%20one"), "{:?}", server.urls);
+    assert!(
+        server.urls[1].ends_with("/second%20one"),
+        "{:?}",
+        server.urls
+    );
     let picture = desk.name("two.png");
     let size = ["--size", "16x9"];
-    run("escarp-client", &[&["snapshot", &server.urls[1], "-o", &picture][..], &size].concat())
-        .ok();
+    run(
+        "escarp-client",
+        &[&["snapshot", &server.urls[1], "-o", &picture][..], &size].concat(),
+    )
+    .ok();
     let bare = server.urls[0].trim_end_matches("demo");
     let both = run("escarp-client", &["snapshot", bare, "-o", &picture]);
-    assert!(both.code == Some(1) && both.err.contains("demo, second one"), "{both:?}");
+    assert!(
+        both.code == Some(1) && both.err.contains("demo, second one"),
+        "{both:?}"
+    );
     assert_eq!(server.end("INT").code(), Some(0));
-}
-
-#[test]
-fn wrong_usage_ends_with_2_and_help_with_0() {
-    let calls: [(&str, &[&str]); 12] = [
-        ("escarp-tiles", &[]),
-        ("escarp-tiles", &["build"]),
-        ("escarp-tiles", &["build", "a.tif"]),
-        ("escarp-tiles", &["build", "a.tif", "-o", "b", "--lossless", "--quantum", "1"]),
-        ("escarp-tiles", &["sample", "-o", "a.tif", "--size", "many"]),
-        ("escarp-server", &[]),
-        ("escarp-server", &["--what"]),
-        ("escarp-client", &["snapshot"]),
-        ("escarp-client", &["snapshot", "http://127.0.0.1:1/a/b", "-o", "c.png"]),
-        ("escarp-client", &["snapshot", "https://127.0.0.1/a", "-o", "c.png"]),
-        ("escarp-client", &["snapshot", "127.0.0.1:1/a", "-o", "c.png", "--size", "0x9"]),
-        ("escarp-client", &["snapshot", "127.0.0.1:1/a", "-o", "c.png", "--eye", "1,2"]),
-    ];
-    for (name, arguments) in calls {
-        let ran = run(name, arguments);
-        assert_eq!(ran.code, Some(2), "{name} {arguments:?}: {ran:?}");
-        assert!(!ran.err.is_empty() && ran.out.is_empty(), "{name} {arguments:?}: {ran:?}");
-    }
-    for name in ["escarp-tiles", "escarp-server", "escarp-client"] {
-        let help = run(name, &["--help"]).ok();
-        assert!(help.contains("Examples:") && help.contains("Exit codes:"), "{name}: {help}");
-    }
-}
-
-/// Builds of a file that is not as it should be: exit code 1, no dataset, one message that names
-/// the file and says all of these words.
-fn refused(desk: &Desk, file: &str, words: &[&str]) {
-    let out = desk.name("refused.escarp");
-    let ran: Ran = run("escarp-tiles", &["build", &desk.name(file), "-o", &out]);
-    assert_eq!(ran.code, Some(1), "{file}: {ran:?}");
-    assert!(ran.err.contains(&desk.name(file)), "{file} is not named: {ran:?}");
-    for word in words {
-        assert!(ran.err.contains(word), "{file}: no {word:?} in {ran:?}");
-    }
-    assert!(ran.err.starts_with("error: ") && !ran.err.contains("panicked"), "{ran:?}");
-    assert_eq!(run("escarp-tiles", &["info", &out]).code, Some(1), "{file} made a dataset");
-}
-
-#[test]
-fn inputs_that_cannot_be_used_are_named_with_what_to_do() {
-    let desk = Desk::new();
-    std::fs::write(desk.path("letter.tif"), "Dear Sir or Madam").unwrap();
-    refused(&desk, "letter.tif", &["not a DEM", "Dear Sir", "GeoTIFF"]);
-    refused(&desk, "missing.tif", &["open"]);
-    write_png(&desk.path("map.png"), [40, 30], |column, row| f64::from(column + row));
-    refused(&desk, "map.png", &["no georeference", "--spacing"]);
-    std::fs::write(desk.path("map.hgt"), vec![0; 2 * 1201 * 1201]).unwrap();
-    refused(&desk, "map.hgt", &["N36W115.hgt"]);
-    std::fs::write(desk.path("N10E020.hgt"), vec![0; 2 * 1201 * 1200]).unwrap();
-    refused(&desk, "N10E020.hgt", &["1201 x 1201"]);
-
-    let heights = |column, row| f64::from(column * row);
-    write_tiff(&desk.path("whole.tif"), [90, 70], Registered::Cell, Stored::F32, heights);
-    let whole = std::fs::read(desk.path("whole.tif")).unwrap();
-    for part in [1, 2, 7, 9] {
-        let name = format!("cut-{part}.tif");
-        std::fs::write(desk.path(&name), &whole[..whole.len() * part / 10]).unwrap();
-        refused(&desk, &name, &[]);
-    }
-    let nan = |_, _| f64::NAN;
-    write_tiff(&desk.path("nan.tif"), [90, 70], Registered::Cell, Stored::F32, nan);
-    refused(&desk, "nan.tif", &["no sample has data"]);
-    let large = |column, _| if column == 31 { 1e30 } else { 1.0 };
-    write_tiff(&desk.path("large.tif"), [90, 70], Registered::Cell, Stored::F32, large);
-    refused(&desk, "large.tif", &["31"]);
-}
-
-#[test]
-fn what_is_no_dataset_is_not_hosted() {
-    let desk = Desk::new();
-    let (none, empty) = (desk.name("none.escarp"), desk.name("empty.escarp"));
-    std::fs::create_dir(&empty).unwrap();
-    for (folder, words) in [(&none, "no such folder"), (&empty, "build it again")] {
-        let ran = run("escarp-server", &[folder, "--listen", "127.0.0.1:0"]);
-        assert_eq!(ran.code, Some(1), "{ran:?}");
-        assert!(ran.err.contains(&**folder) && ran.err.contains(words), "{ran:?}");
-    }
-    let dataset = desk.name("demo.escarp");
-    desk.dataset();
-    let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
-    let address = taken.local_addr().unwrap().to_string();
-    let ran = run("escarp-server", &[&dataset, "--listen", &address]);
-    assert!(ran.code == Some(1) && ran.err.contains(&address), "{ran:?}");
-    assert!(ran.err.contains("--listen"), "{ran:?}");
-    let ran = run("escarp-server", &[&dataset, &dataset, "--listen", "127.0.0.1:0"]);
-    assert!(ran.code == Some(2) && ran.err.contains("two datasets"), "{ran:?}");
 }

@@ -36,9 +36,19 @@ impl Packages {
     fn read() -> Packages {
         let cargo = std::env::var("CARGO").unwrap_or_else(|_| "cargo".into());
         let version = run(Command::new("rustc").arg("-vV"));
-        let host = version.lines().find_map(|line| line.strip_prefix("host: ")).expect("a host");
+        let host = version
+            .lines()
+            .find_map(|line| line.strip_prefix("host: "))
+            .expect("a host");
         let json = run(Command::new(cargo)
-            .args(["metadata", "--format-version", "1", "--offline", "--filter-platform", host])
+            .args([
+                "metadata",
+                "--format-version",
+                "1",
+                "--offline",
+                "--filter-platform",
+                host,
+            ])
             .current_dir(workspace()));
         let json: Value = serde_json::from_str(&json).expect("JSON");
         let mut packages = Packages {
@@ -47,18 +57,24 @@ impl Packages {
             all: BTreeMap::new(),
         };
         for package in list(&json["packages"]) {
-            packages.names.insert(text(&package["id"]), text(&package["name"]));
+            packages
+                .names
+                .insert(text(&package["id"]), text(&package["name"]));
         }
         for node in list(&json["resolve"]["nodes"]) {
             let id = text(&node["id"]);
             let is_normal = |dependency: &&Value| {
-                list(&dependency["dep_kinds"]).iter().any(|kind| kind["kind"].is_null())
+                list(&dependency["dep_kinds"])
+                    .iter()
+                    .any(|kind| kind["kind"].is_null())
             };
             let dependencies = list(&node["deps"]);
             let ids = |dependency: &Value| text(&dependency["pkg"]);
             let normal = dependencies.iter().filter(is_normal).map(ids).collect();
             packages.normal.insert(id.clone(), normal);
-            packages.all.insert(id, dependencies.iter().map(ids).collect());
+            packages
+                .all
+                .insert(id, dependencies.iter().map(ids).collect());
         }
         packages
     }
@@ -84,14 +100,20 @@ impl Packages {
 
     /// The workspace's packages that one names in its manifest, for tests included.
     fn named(&self, name: &str) -> BTreeSet<&str> {
-        let below = self.all[self.id(name)].iter().map(|id| self.names[id].as_str());
+        let below = self.all[self.id(name)]
+            .iter()
+            .map(|id| self.names[id].as_str());
         below.filter(|name| name.starts_with("escarp-")).collect()
     }
 }
 
 fn run(command: &mut Command) -> String {
     let output = command.output().expect("the program runs");
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
     String::from_utf8(output.stdout).expect("UTF-8")
 }
 
@@ -125,8 +147,13 @@ fn sources(folder: &str) -> Vec<PathBuf> {
 /// Whether a file says a word outside of comments and of the tests at its end.
 fn says(path: &Path, word: &str) -> bool {
     let source = std::fs::read_to_string(path).unwrap_or_else(|e| panic!("{path:?}: {e}"));
-    let code = source.split("#[cfg(test)]\nmod tests {").next().unwrap_or_default();
-    let lines = code.lines().filter(|line| !line.trim_start().starts_with("//"));
+    let code = source
+        .split("#[cfg(test)]\nmod tests {")
+        .next()
+        .unwrap_or_default();
+    let lines = code
+        .lines()
+        .filter(|line| !line.trim_start().starts_with("//"));
     lines.into_iter().any(|line| line.contains(word))
 }
 
@@ -142,15 +169,24 @@ fn refuse(folder: &str, words: &[&str]) {
 fn the_crates_depend_on_each_other_in_one_direction() {
     let packages = Packages::read();
     assert_eq!(packages.named("escarp-proto"), BTreeSet::new());
-    assert_eq!(packages.named("escarp-tiles"), BTreeSet::from(["escarp-proto"]));
-    assert_eq!(packages.named("escarp-client"), BTreeSet::from(["escarp-proto"]));
+    assert_eq!(
+        packages.named("escarp-tiles"),
+        BTreeSet::from(["escarp-proto"])
+    );
+    assert_eq!(
+        packages.named("escarp-client"),
+        BTreeSet::from(["escarp-proto"])
+    );
     assert_eq!(
         packages.named("escarp-server"),
         BTreeSet::from(["escarp-proto", "escarp-tiles"])
     );
     let client = packages.below("escarp-client");
     assert!(!client.contains("escarp-tiles") && !client.contains("escarp-server"));
-    assert!(client.contains("wgpu") && client.contains("escarp-proto"), "{client:?}");
+    assert!(
+        client.contains("wgpu") && client.contains("escarp-proto"),
+        "{client:?}"
+    );
 }
 
 #[test]
@@ -158,7 +194,15 @@ fn the_server_and_the_tiles_are_built_without_graphics() {
     let packages = Packages::read();
     for package in ["escarp-server", "escarp-tiles", "escarp-proto"] {
         let below = packages.below(package);
-        for name in ["wgpu", "wgpu-hal", "winit", "egui", "egui-wgpu", "egui-winit", "glam"] {
+        for name in [
+            "wgpu",
+            "wgpu-hal",
+            "winit",
+            "egui",
+            "egui-wgpu",
+            "egui-winit",
+            "glam",
+        ] {
             assert!(!below.contains(name), "{package} depends on {name}");
         }
     }
@@ -173,15 +217,27 @@ fn the_protocol_and_the_tiles_are_built_without_sockets() {
             assert!(!below.contains(name), "{package} depends on {name}");
         }
     }
-    refuse("proto/src", &["std::net", "std::thread", "async ", ".await"]);
-    assert!(packages.below("escarp-server").contains("tokio"), "the check sees nothing");
+    refuse(
+        "proto/src",
+        &["std::net", "std::thread", "async ", ".await"],
+    );
+    assert!(
+        packages.below("escarp-server").contains("tokio"),
+        "the check sees nothing"
+    );
 }
 
 #[test]
 fn graphics_are_named_under_one_folder_only() {
     let render = workspace().join("client/src/render");
     let mut inside = 0;
-    for folder in ["client/src", "client/examples", "server/src", "tiles/src", "proto/src"] {
+    for folder in [
+        "client/src",
+        "client/examples",
+        "server/src",
+        "tiles/src",
+        "proto/src",
+    ] {
         for path in sources(folder) {
             if path.starts_with(&render) {
                 inside += usize::from(says(&path, "wgpu"));
@@ -205,7 +261,11 @@ fn the_core_of_the_client_has_no_sockets_threads_or_clock() {
         "async ",
         ".await",
     ];
-    for folder in ["client/src/mesh", "client/src/link", "client/src/terrain.rs"] {
+    for folder in [
+        "client/src/mesh",
+        "client/src/link",
+        "client/src/terrain.rs",
+    ] {
         refuse(folder, &words);
     }
     // The server's core likewise.

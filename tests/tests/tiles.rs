@@ -3,7 +3,8 @@
 
 use escarp_tests::files::{Copy, files};
 use escarp_tests::terrain::{
-    FunctionSource, TempDataset, build_with, cliff, hash, hills, holed_hills, read_samples, spike,
+    FunctionSource, Heights, TempDataset, build_with, cliff, hash, hills, holed_hills,
+    read_samples, spike,
 };
 use escarp_tiles::build::{BuildError, Quantum};
 use escarp_tiles::dataset::{Dataset, DatasetError, DatasetWriter, FamilyBytes, FamilyId};
@@ -13,7 +14,7 @@ use std::path::{Path, PathBuf};
 use tempfile::TempDir;
 
 /// Builds a dataset, verifies all of it, and holds it against its source.
-fn check(name: &str, width: u32, height: u32, quantum: Quantum, heights: fn(u32, u32) -> f64) {
+fn check(name: &str, width: u32, height: u32, quantum: Quantum, heights: Heights) {
     let folder = TempDir::new().unwrap();
     let path = folder.path().join("checked.escarp");
     let mut source = FunctionSource::new(width, height, heights);
@@ -27,7 +28,10 @@ fn check(name: &str, width: u32, height: u32, quantum: Quantum, heights: fn(u32,
     assert!(report.largest_ratio <= 1.0, "{what}: {report:?}");
     assert_eq!(report.records, manifest.pages, "{what}");
     let found = compare(&dataset, &mut source, &|_, _| {}).expect("sizes match");
-    assert!(found.largest_difference_m <= manifest.storage_error_m, "{what}: {found:?}");
+    assert!(
+        found.largest_difference_m <= manifest.storage_error_m,
+        "{what}: {found:?}"
+    );
     assert_eq!(found.invented, 0, "{what}");
     // One sample in a row or column of its own, or among holes, is part of no surface.
     let lone = width == 1 || height == 1 || name.contains("holes");
@@ -36,7 +40,7 @@ fn check(name: &str, width: u32, height: u32, quantum: Quantum, heights: fn(u32,
 
 #[test]
 fn every_bound_holds_for_every_terrain_and_size() {
-    let terrains: [(&str, fn(u32, u32) -> f64); 6] = [
+    let terrains: [(&str, Heights); 6] = [
         ("hills", hills),
         ("holes", holed_hills),
         ("cliff", cliff),
@@ -75,7 +79,10 @@ fn heights_that_do_not_fit_stop_the_build_and_are_named() {
     let error = build_with(&path, &mut source, Quantum::Metres(0.1), false).unwrap_err();
     let text = error.to_string();
     assert!(matches!(error, BuildError::Unfit { .. }), "{text}");
-    assert!(text.contains("column 101") && text.contains("row 67"), "{text}");
+    assert!(
+        text.contains("column 101") && text.contains("row 67"),
+        "{text}"
+    );
     refused(&path);
 }
 
@@ -94,12 +101,18 @@ fn refused(path: &Path) {
     let error = Dataset::open(path).expect_err("no finished dataset");
     assert!(matches!(error, DatasetError::NotADataset { .. }), "{error}");
     let text = error.to_string();
-    assert!(text.contains(&path.display().to_string()) && text.contains("build"), "{text}");
+    assert!(
+        text.contains(&path.display().to_string()) && text.contains("build"),
+        "{text}"
+    );
 }
 
 fn bytes(dataset: &Path) -> Vec<(String, Vec<u8>)> {
     let read = |name: &String| std::fs::read(dataset.join(name)).unwrap();
-    files(dataset).iter().map(|name| (name.clone(), read(name))).collect()
+    files(dataset)
+        .iter()
+        .map(|name| (name.clone(), read(name)))
+        .collect()
 }
 
 #[test]
@@ -107,13 +120,21 @@ fn building_again_gives_the_same_bytes_whatever_the_number_of_threads() {
     let folder = TempDir::new().unwrap();
     let build = |threads: usize| {
         let path = folder.path().join(format!("{threads}.escarp"));
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .unwrap();
         let mut source = FunctionSource::new(700, 610, holed_hills);
-        pool.install(|| build_with(&path, &mut source, Quantum::Natural, false)).unwrap();
+        pool.install(|| build_with(&path, &mut source, Quantum::Natural, false))
+            .unwrap();
         bytes(&path)
     };
     let one = build(1);
-    assert!(one.len() >= 4, "{:?}", one.iter().map(|(name, _)| name).collect::<Vec<_>>());
+    assert!(
+        one.len() >= 4,
+        "{:?}",
+        one.iter().map(|(name, _)| name).collect::<Vec<_>>()
+    );
     for threads in [2, 3, 8] {
         assert!(build(threads) == one, "{threads} threads");
     }
@@ -126,10 +147,16 @@ fn a_dataset_is_replaced_only_if_so_wished() {
     let mut source = FunctionSource::new(60, 50, cliff);
     let error = build_with(&data.path(), &mut source, Quantum::Natural, false).unwrap_err();
     assert!(error.to_string().contains("--overwrite"), "{error}");
-    assert!(bytes(&data.path()) == before, "the refused build left something behind");
+    assert!(
+        bytes(&data.path()) == before,
+        "the refused build left something behind"
+    );
     let manifest = build_with(&data.path(), &mut source, Quantum::Natural, true).unwrap();
     assert_eq!((manifest.generation, manifest.samples), (2, [60, 50]));
-    assert!(files(&data.path()).iter().all(|name| !name.contains("-1")), "the old one is left");
+    assert!(
+        files(&data.path()).iter().all(|name| !name.contains("-1")),
+        "the old one is left"
+    );
     // Whoever had the old one open goes on with it.
     assert_eq!(read_samples(&data.dataset), data.samples);
 }
@@ -145,7 +172,7 @@ fn files_of_others_are_never_written_over() {
 }
 
 /// A terrain whose file ends in the middle.
-struct CutShort(FunctionSource<fn(u32, u32) -> f64>);
+struct CutShort(FunctionSource<Heights>);
 
 impl DemSource for CutShort {
     fn info(&self) -> &DemInfo {
@@ -215,7 +242,10 @@ fn a_second_writer_is_refused_while_one_is_at_work() {
     let writer = DatasetWriter::create(&data.path(), true).unwrap();
     let error = DatasetWriter::create(&data.path(), true).unwrap_err();
     assert!(matches!(error, DatasetError::Usage { .. }), "{error}");
-    assert!(error.to_string().contains("another program is writing"), "{error}");
+    assert!(
+        error.to_string().contains("another program is writing"),
+        "{error}"
+    );
     // Readers are not in its way, nor it in theirs.
     assert_eq!(read_samples(&data.open()), data.samples);
     drop(writer);

@@ -82,7 +82,7 @@ mod tests {
         };
         let vertex = |k: i32| Vertex {
             height: 10 * (k % 17) + 3 * (k / 17),
-            normal: [0; 4],
+            normal: [0; 2],
         };
         let mesh = PageMesh {
             id: PageId::ROOT,

@@ -51,16 +51,9 @@ impl Gpu {
     /// # Errors
     /// [`GpuError::NoAdapter`], which says what to install, or [`GpuError::Device`].
     pub fn headless() -> Result<Gpu, GpuError> {
-        let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle_from_env();
-        let asked = descriptor.backends;
-        // Asking for GL makes Mesa complain on stderr where there is no display, so it comes last.
-        descriptor.backends = asked & !wgpu::Backends::GL;
-        if let Ok(adapter) = choose(&wgpu::Instance::new(descriptor), None) {
-            return open(adapter);
-        }
-        let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle_from_env();
-        descriptor.backends = asked;
-        open(choose(&wgpu::Instance::new(descriptor), None)?)
+        let instance =
+            wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle_from_env());
+        open(choose(&instance, None)?)
     }
 
     /// A device that can draw on this window, and the window's surface.

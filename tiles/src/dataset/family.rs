@@ -103,7 +103,7 @@ impl<'a> FamilyTable<'a> {
         let records = &bytes[reader.position()..];
         let lengths: usize = entries
             .chunks_exact(ENTRY)
-            .map(|entry| length_of(entry))
+            .map(length_of)
             .sum();
         if lengths != records.len() {
             let there = records.len();
