@@ -3,6 +3,7 @@
 use crate::geometry::GridLevels;
 use crate::georef::Georef;
 use crate::page::MAX_HEIGHT;
+use crate::view::FARTHEST_EYE_M;
 use serde::{Deserialize, Serialize};
 
 /// The format's name in a manifest.
@@ -86,7 +87,11 @@ impl Manifest {
         serde_json::to_vec_pretty(self).unwrap_or_default()
     }
 
-    fn check(&self) -> Result<(), String> {
+    /// Checks every field against its range.
+    ///
+    /// # Errors
+    /// A sentence that says what was found and what is allowed.
+    pub fn check(&self) -> Result<(), String> {
         if self.format != FORMAT || self.version != VERSION {
             let (format, version) = (&self.format, self.version);
             return Err(format!(
@@ -111,7 +116,24 @@ impl Manifest {
         if self.codec != 0 {
             return Err(format!("codec {}, allowed is 0", self.codec));
         }
-        self.georef.check()
+        self.georef.check()?;
+        self.check_extent()
+    }
+
+    /// No corner of the grid may lie where no eye may be: beyond, differences of coordinates lose
+    /// the metre, and at last are no numbers any more.
+    fn check_extent(&self) -> Result<(), String> {
+        let cells = self.grid_levels.cells_per_side();
+        let corners = [
+            self.georef.world(0, 0, -MAX_HEIGHT),
+            self.georef.world(cells, cells, MAX_HEIGHT),
+        ];
+        match corners.into_iter().flatten().find(|v| !(v.abs() <= FARTHEST_EYE_M)) {
+            None => Ok(()),
+            Some(found) => Err(format!(
+                "a corner of the grid at {found:e} m, allowed are coordinates within {FARTHEST_EYE_M:e} m"
+            )),
+        }
     }
 
     /// World coordinates `[[min, max]; 3]` of the data, metres.
@@ -123,5 +145,62 @@ impl Manifest {
             self.georef.world(width - 1, height - 1, hi),
         );
         [[min[0], max[0]], [min[1], max[1]], [min[2], max[2]]]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::georef::Plane;
+
+    fn manifest() -> Manifest {
+        Manifest {
+            format: FORMAT.into(),
+            version: VERSION,
+            generation: 1,
+            grid_levels: GridLevels::new(8).unwrap(),
+            samples: [200, 100],
+            valid_samples: 20_000,
+            height_range: Some([-5, 900]),
+            georef: Georef {
+                origin_m: [5e5, 5e6],
+                sample_spacing_m: [10.0, 12.0],
+                quantum_m: 0.1,
+                plane: Plane::Local,
+            },
+            storage_error_m: 0.05,
+            codec: 0,
+            pages: 3,
+            segments: Vec::new(),
+            index: FileCheck { bytes: 0, crc32c: 0 },
+            sources: vec!["a.tif".into()],
+        }
+    }
+
+    #[test]
+    fn a_manifest_comes_back_from_its_json() {
+        assert_eq!(Manifest::from_json(&manifest().to_json()), Ok(manifest()));
+    }
+
+    #[test]
+    fn every_field_out_of_range_is_refused_by_name() {
+        let refusal = |change: fn(&mut Manifest)| {
+            let mut broken = manifest();
+            change(&mut broken);
+            Manifest::from_json(&broken.to_json()).unwrap_err()
+        };
+        assert!(refusal(|m| m.version = 2).contains("format"));
+        assert!(refusal(|m| m.samples = [0, 5]).contains("samples"));
+        assert!(refusal(|m| m.samples = [258, 5]).contains("samples"));
+        assert!(refusal(|m| m.height_range = Some([4, 3])).contains("heights"));
+        assert!(refusal(|m| m.storage_error_m = -1.0).contains("storage error"));
+        assert!(refusal(|m| m.codec = 9).contains("codec"));
+        assert!(refusal(|m| m.georef.quantum_m = 0.0).contains("quantum"));
+        assert!(refusal(|m| m.georef.sample_spacing_m[1] = 1e300).contains("corner"));
+        assert!(refusal(|m| m.georef.origin_m[0] = -1e13).contains("corner"));
+        let deep = String::from_utf8(manifest().to_json()).unwrap();
+        let deep = deep.replace("\"grid_levels\": 8", "\"grid_levels\": 9");
+        assert!(Manifest::from_json(deep.as_bytes()).unwrap_err().contains("grid levels"));
+        assert!(Manifest::from_json(b"{").is_err());
     }
 }

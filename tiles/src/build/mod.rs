@@ -19,7 +19,7 @@ use escarp_proto::geometry::GridLevels;
 use escarp_proto::manifest::{FORMAT, FileCheck, Manifest, VERSION};
 use escarp_proto::page::PageError;
 use level::{Level, MemoryRows};
-use rows::SourceRows;
+use rows::{SourceRows, Stored};
 use std::path::{Path, PathBuf};
 use thiserror::Error;
 
@@ -76,31 +76,16 @@ pub fn build(
     let grid = GridLevels::covering(info.width, info.height)
         .ok_or_else(|| unfit(format!("{} x {} samples", info.width, info.height)))?;
     let quantum_m = choose_quantum(source, options.quantum)?;
-    let georef = georef_of(&info, quantum_m);
-    georef.check().map_err(unfit)?;
-    let mut writer = DatasetWriter::create(folder, options.overwrite)?;
-    let mut rows = SourceRows::new(source, quantum_m);
-    let mut level = Level::new(grid, grid.finest_page_level(), info.width, info.height);
-    let mut above = level.run(&mut rows, &mut writer, progress)?;
-    let stored = rows.summary();
-    if stored.valid_samples == 0 {
-        return Err(unfit("no sample has data: every one is a hole".into()));
-    }
-    while let Some(next) = level.above(&above) {
-        level = next;
-        let mut rows = MemoryRows::new(above);
-        above = level.run(&mut rows, &mut writer, &|_, _| {})?;
-    }
-    let manifest = Manifest {
+    let mut manifest = Manifest {
         format: FORMAT.into(),
         version: VERSION,
-        generation: writer.generation(),
+        generation: 0,
         grid_levels: grid,
         samples: [info.width, info.height],
-        valid_samples: stored.valid_samples,
-        height_range: stored.range,
-        georef,
-        storage_error_m: stored.largest_error_m,
+        valid_samples: 0,
+        height_range: None,
+        georef: georef_of(&info, quantum_m),
+        storage_error_m: 0.0,
         codec: 0,
         pages: 0,
         segments: Vec::new(),
@@ -110,5 +95,33 @@ pub fn build(
         },
         sources,
     };
+    manifest.check().map_err(unfit)?;
+    let mut writer = DatasetWriter::create(folder, options.overwrite)?;
+    let stored = write_pages(source, &manifest, &mut writer, progress)?;
+    if stored.valid_samples == 0 {
+        return Err(unfit("no sample has data: every one is a hole".into()));
+    }
+    manifest.valid_samples = stored.valid_samples;
+    manifest.height_range = stored.range;
+    manifest.storage_error_m = stored.largest_error_m;
     Ok(writer.publish(manifest)?)
+}
+
+/// Makes the pages of all levels, finest first.
+fn write_pages(
+    source: &mut dyn DemSource,
+    manifest: &Manifest,
+    writer: &mut DatasetWriter,
+    progress: Progress<'_>,
+) -> Result<Stored, BuildError> {
+    let (grid, [width, height]) = (manifest.grid_levels, manifest.samples);
+    let mut rows = SourceRows::new(source, manifest.georef.quantum_m);
+    let mut level = Level::new(grid, grid.finest_page_level(), width, height);
+    let mut left = level.run(&mut rows, writer, progress)?;
+    let stored = rows.summary();
+    while let Some(above) = level.above(&left) {
+        level = above;
+        left = level.run(&mut MemoryRows::new(left), writer, &|_, _| {})?;
+    }
+    Ok(stored)
 }

@@ -13,6 +13,9 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Instant;
 
+/// Inputs that a manifest names.
+const MOST_SOURCES: usize = 256;
+
 #[derive(Debug, Args)]
 pub(super) struct BuildArgs {
     /// DEM files: GeoTIFF, SRTM .hgt and .hgt.zip, 16-bit PNG. Where several overlap, the one
@@ -63,7 +66,10 @@ pub(super) fn run(args: &BuildArgs) -> Result<ExitCode> {
         overwrite: args.overwrite,
     };
     let progress = Progress::new("building", args.json);
-    let sources = args.inputs.iter().map(name).collect();
+    let mut sources: Vec<String> = args.inputs.iter().map(name).take(MOST_SOURCES).collect();
+    if args.inputs.len() > MOST_SOURCES {
+        sources.push(format!("and {} more", args.inputs.len() - MOST_SOURCES));
+    }
     let manifest = build(
         &mut *source,
         &args.output,
