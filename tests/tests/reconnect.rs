@@ -97,10 +97,14 @@ fn a_server_stopped_in_mid_flight_is_found_again_and_the_rest_arrives() {
             .client
             .terrain()
             .map_or(0, |terrain| terrain.tree().resident());
-        step_until(&mut driver, &view, "pages in flight", |driver, stats| {
+        let stats = step_until(&mut driver, &view, "pages in flight", |driver, stats| {
             let more = stats.pages_resident as usize >= resident + 5;
-            more && (stats.pages_in_flight > 0 || driver.client.is_settled())
+            (more && stats.pages_in_flight > 0) || driver.client.is_settled()
         });
+        assert!(
+            stats.pages_in_flight > 0 || round > 0,
+            "all came before the server was stopped"
+        );
         // In turn told, and not told.
         if round % 2 == 0 {
             host.stop()
