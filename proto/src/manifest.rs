@@ -128,7 +128,11 @@ impl Manifest {
             self.georef.world(0, 0, -MAX_HEIGHT),
             self.georef.world(cells, cells, MAX_HEIGHT),
         ];
-        match corners.into_iter().flatten().find(|v| !(v.abs() <= FARTHEST_EYE_M)) {
+        match corners
+            .into_iter()
+            .flatten()
+            .find(|v| !(v.abs() <= FARTHEST_EYE_M))
+        {
             None => Ok(()),
             Some(found) => Err(format!(
                 "a corner of the grid at {found:e} m, allowed are coordinates within {FARTHEST_EYE_M:e} m"
@@ -172,7 +176,10 @@ mod tests {
             codec: 0,
             pages: 3,
             segments: Vec::new(),
-            index: FileCheck { bytes: 0, crc32c: 0 },
+            index: FileCheck {
+                bytes: 0,
+                crc32c: 0,
+            },
             sources: vec!["a.tif".into()],
         }
     }
@@ -200,7 +207,11 @@ mod tests {
         assert!(refusal(|m| m.georef.origin_m[0] = -1e13).contains("corner"));
         let deep = String::from_utf8(manifest().to_json()).unwrap();
         let deep = deep.replace("\"grid_levels\": 8", "\"grid_levels\": 9");
-        assert!(Manifest::from_json(deep.as_bytes()).unwrap_err().contains("grid levels"));
+        assert!(
+            Manifest::from_json(deep.as_bytes())
+                .unwrap_err()
+                .contains("grid levels")
+        );
         assert!(Manifest::from_json(b"{").is_err());
     }
 }

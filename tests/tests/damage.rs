@@ -286,3 +286,11 @@ fn a_client_goes_on_without_a_damaged_page_has_no_cracks_and_states_what_it_lack
             .converged
     );
 }
+
+#[test]
+fn a_segment_of_another_dataset_with_the_same_layout_is_found() {
+    let [data, other] = [12.0, 13.0].map(|height| TempDataset::of(300, 300, move |_, _| height));
+    let copy = Copy::of(&data.path());
+    std::fs::copy(other.path().join("seg-1-0"), copy.path().join("seg-1-0")).unwrap();
+    refused(&copy, &["seg-1-0"], "a segment that fits in every length");
+}

@@ -279,7 +279,9 @@ impl MeshTree {
         let neighbours = node.neighbours;
         for edge in Edge::ALL {
             if let Some(neighbour) = neighbours[edge as usize] {
-                self.node_mut(neighbour).stale_vertices.add_edge(edge.opposite());
+                self.node_mut(neighbour)
+                    .stale_vertices
+                    .add_edge(edge.opposite());
             }
         }
         self.changes += 1;

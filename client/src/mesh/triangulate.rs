@@ -146,7 +146,10 @@ impl MeshTree {
             rise * self.georef.quantum_m / (f64::from(cells.max(1)) * spacing_m)
         };
         let cells = f64::from(node.mesh.stride) * step as f64;
-        let [dx, dy] = self.georef.sample_spacing_m.map(|spacing_m| spacing_m * cells);
+        let [dx, dy] = self
+            .georef
+            .sample_spacing_m
+            .map(|spacing_m| spacing_m * cells);
         Vertex::on_slope(
             own,
             slope(Edge::West, Edge::East, dx),

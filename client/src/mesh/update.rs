@@ -185,7 +185,12 @@ impl MeshTree {
         let half_diagonal_m = pass.half_diagonals_m[usize::from(page_level + level)];
         for edge in Edge::ALL {
             let at = edge as usize;
-            let error_m = error_m(errors.edges[at], errors.kinds[at], pass.quantum_m, half_diagonal_m);
+            let error_m = error_m(
+                errors.edges[at],
+                errors.kinds[at],
+                pass.quantum_m,
+                half_diagonal_m,
+            );
             let region = edge_box(self.node(index), square, edge, errors.range, pass.quantum_m);
             let vertex = (index, square.edge(edge) as u16);
             let (fails, excess) = self.test(pass, error_m, &region);

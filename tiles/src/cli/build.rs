@@ -136,5 +136,7 @@ fn print_overlaps(overlaps: &OverlapReport) {
         differing,
         largest_m,
     } = overlaps;
-    println!("inputs overlap at {overlapping} samples and differ at {differing}, by at most {largest_m} m");
+    println!(
+        "inputs overlap at {overlapping} samples and differ at {differing}, by at most {largest_m} m"
+    );
 }

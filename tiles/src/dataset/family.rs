@@ -1,6 +1,6 @@
 //! A family: the records of all children of one page, in one stretch of a segment.
 
-use super::DatasetError;
+use super::{DatasetError, IndexEntry};
 use crate::checksum::crc32c;
 use escarp_proto::bytes::Reader;
 use escarp_proto::geometry::{PAGE_SLOTS, PageId, Slot};
@@ -11,8 +11,7 @@ use std::path::Path;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct FamilyId(u64);
 
-/// Length of the table's head and of one of its entries, bytes.
-const HEAD: usize = 8 + 2;
+/// Length of one of the table's entries, bytes.
 const ENTRY: usize = 1 + 2 + 4;
 
 impl FamilyId {
@@ -73,11 +72,11 @@ pub struct FamilyTable<'a> {
 
 impl<'a> FamilyTable<'a> {
     pub(super) fn read(
-        family: FamilyId,
+        entry: &IndexEntry,
         bytes: &'a [u8],
         path: &'a Path,
-        offset: u64,
     ) -> Result<FamilyTable<'a>, DatasetError> {
+        let (family, offset) = (entry.family, entry.offset);
         let damaged = |why: String| DatasetError::damaged(path, format!("at byte {offset}: {why}"));
         let cut = || damaged("family table cut short".into());
         let mut reader = Reader::new(bytes);
@@ -93,18 +92,15 @@ impl<'a> FamilyTable<'a> {
             return Err(damaged(format!("{count} records, allowed are 1..=256")));
         }
         let entries = reader.take(count * ENTRY).ok_or_else(cut)?;
-        let stored = reader.u32().ok_or_else(cut)?;
-        let found = crc32c(&bytes[..HEAD + count * ENTRY]);
+        let found = crc32c(&bytes[..reader.position()]);
+        let stored = entry.table_crc32c;
         if found != stored {
             return Err(damaged(format!(
-                "table checksum {found:08x}, stored is {stored:08x}"
+                "table checksum {found:08x}, the index says {stored:08x}"
             )));
         }
         let records = &bytes[reader.position()..];
-        let lengths: usize = entries
-            .chunks_exact(ENTRY)
-            .map(length_of)
-            .sum();
+        let lengths: usize = entries.chunks_exact(ENTRY).map(length_of).sum();
         if lengths != records.len() {
             let there = records.len();
             return Err(damaged(format!(
@@ -186,8 +182,8 @@ fn length_of(entry: &[u8]) -> usize {
     usize::from(u16::from_le_bytes([entry[1], entry[2]]))
 }
 
-/// The bytes of a family. Records come by slot, ascending.
-pub(super) fn encode_family(family: FamilyId, records: &[(Slot, Vec<u8>)]) -> Vec<u8> {
+/// The bytes of a family, and the CRC-32C of its table. Records come by slot, ascending.
+pub(super) fn encode_family(family: FamilyId, records: &[(Slot, Vec<u8>)]) -> (Vec<u8>, u32) {
     let mut out = Vec::new();
     out.extend(family.0.to_le_bytes());
     out.extend((records.len() as u16).to_le_bytes());
@@ -198,9 +194,9 @@ pub(super) fn encode_family(family: FamilyId, records: &[(Slot, Vec<u8>)]) -> Ve
         out.extend((record.len() as u16).to_le_bytes());
         out.extend(revision(page, record).to_le_bytes());
     }
-    out.extend(crc32c(&out).to_le_bytes());
+    let table_crc32c = crc32c(&out);
     for (_, record) in records {
         out.extend(record);
     }
-    out
+    (out, table_crc32c)
 }

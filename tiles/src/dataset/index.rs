@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 
 const MAGIC: &[u8; 8] = b"ESCARPIX";
 const HEAD: usize = 8 + 8 + 8;
-const ENTRY: usize = 8 + 8 + 4 + 4;
+const ENTRY: usize = 8 + 8 + 4 + 4 + 4;
 
 /// Where a family lies.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -24,6 +24,8 @@ pub struct IndexEntry {
     pub bytes: u32,
     /// The segment's place in the manifest.
     pub segment: u32,
+    /// CRC-32C of the family's table. It ties the records to the index, and so to `CURRENT`.
+    pub table_crc32c: u32,
 }
 
 /// The index of a generation, checked.
@@ -108,6 +110,7 @@ fn parse(raw: &[u8]) -> Option<IndexEntry> {
         offset: reader.u64()?,
         bytes: reader.u32()?,
         segment: reader.u32()?,
+        table_crc32c: reader.u32()?,
     })
 }
 
@@ -127,6 +130,7 @@ pub(super) fn write_index(
         bytes.extend(entry.offset.to_le_bytes());
         bytes.extend(entry.bytes.to_le_bytes());
         bytes.extend(entry.segment.to_le_bytes());
+        bytes.extend(entry.table_crc32c.to_le_bytes());
     }
     let path = index_path(folder, generation);
     write_synced(&path, &bytes)?;

@@ -130,7 +130,7 @@ impl Dataset {
         let segment = &self.segments[entry.segment as usize];
         let start = entry.offset as usize;
         let bytes = &segment.bytes()[start..start + entry.bytes as usize];
-        FamilyTable::read(entry.family, bytes, segment.path(), entry.offset)
+        FamilyTable::read(entry, bytes, segment.path())
     }
 }
 

@@ -20,15 +20,21 @@ pub const MAX_SEGMENT_BYTES: u64 = 1 << 30;
 pub struct FamilyBytes {
     family: FamilyId,
     bytes: Vec<u8>,
+    table_crc32c: u32,
     pages: usize,
 }
 
 impl FamilyBytes {
     /// Encodes records, which come by slot, ascending. `None` if there are none.
     pub fn encode(family: FamilyId, records: &[(Slot, Vec<u8>)]) -> Option<FamilyBytes> {
-        (!records.is_empty()).then(|| FamilyBytes {
+        if records.is_empty() {
+            return None;
+        }
+        let (bytes, table_crc32c) = encode_family(family, records);
+        Some(FamilyBytes {
             family,
-            bytes: encode_family(family, records),
+            bytes,
+            table_crc32c,
             pages: records.len(),
         })
     }
@@ -124,6 +130,7 @@ impl DatasetWriter {
             offset: segment.bytes,
             bytes: length as u32,
             segment: number as u32,
+            table_crc32c: family.table_crc32c,
         });
         segment.bytes += length;
         self.pages += family.pages as u64;
