@@ -5,13 +5,26 @@ use crate::link::{Event, Link, LinkConfig, LinkState};
 use crate::mesh::PageMesh;
 use crate::net::{Connection, Url};
 use crate::terrain::{Terrain, TerrainStep};
+use escarp_proto::geometry::PageId;
 use escarp_proto::manifest::Manifest;
 use escarp_proto::view::View;
+use escarp_proto::wire::MissReason;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 /// Where the connection's thread finds the waker once there is one.
 type SharedWaker = Arc<Mutex<Option<Waker>>>;
+
+/// Reasons for lost pages that are kept.
+const MOST_REASONS: usize = 8;
+
+fn in_words(reason: MissReason) -> &'static str {
+    match reason {
+        MissReason::NotFound => "the server does not have it",
+        MissReason::Damaged => "damaged on the server, or on the way",
+        MissReason::Busy => "the server is busy",
+    }
+}
 
 /// A terrain on a server.
 pub struct RemoteTerrain {
@@ -23,7 +36,9 @@ pub struct RemoteTerrain {
     now: Duration,
     refused: Option<String>,
     last_step: TerrainStep,
-    rejected: u64,
+    /// Pages that were lost since the last session began, and why the first few were.
+    lost: u64,
+    reasons: Vec<String>,
 }
 
 impl RemoteTerrain {
@@ -45,7 +60,8 @@ impl RemoteTerrain {
             now: Duration::ZERO,
             refused: None,
             last_step: TerrainStep::default(),
-            rejected: 0,
+            lost: 0,
+            reasons: Vec::new(),
         }
     }
 
@@ -64,9 +80,21 @@ impl RemoteTerrain {
             .is_some_and(|terrain| terrain.wants().is_empty() && in_flight == 0)
     }
 
-    /// Pages whose bytes were refused since the beginning.
-    pub fn rejected_pages(&self) -> u64 {
-        self.rejected
+    /// Whether there is a session now.
+    pub fn is_connected(&self) -> bool {
+        self.link.is_open()
+    }
+
+    /// Pages that do not come, or were refused, and why the first few were: a sentence each.
+    pub fn lost_pages(&self) -> (u64, &[String]) {
+        (self.lost, &self.reasons)
+    }
+
+    fn lose(&mut self, page: PageId, why: &str) {
+        self.lost += 1;
+        if self.reasons.len() < MOST_REASONS {
+            self.reasons.push(format!("page {page}: {why}"));
+        }
     }
 
     /// The terrain, once the server has told what it is.
@@ -83,6 +111,8 @@ impl RemoteTerrain {
         while let Some(event) = self.link.poll_event() {
             match event {
                 Event::Welcome { manifest, changed } => {
+                    self.lost = 0;
+                    self.reasons.clear();
                     if changed {
                         self.terrain = Some(Terrain::new(manifest, self.memory_cap_bytes));
                     } else if let Some(terrain) = &mut self.terrain {
@@ -95,9 +125,10 @@ impl RemoteTerrain {
                     }
                 }
                 Event::Miss(miss) => {
-                    let page = escarp_proto::geometry::PageId::from_key(miss.page);
+                    let page = PageId::from_key(miss.page);
                     if let (Some(terrain), Some(page)) = (&mut self.terrain, page) {
                         terrain.miss(page);
+                        self.lose(page, in_words(miss.reason));
                     }
                 }
                 Event::Refused {
@@ -124,11 +155,11 @@ impl RemoteTerrain {
         }
         let step = terrain.update(view);
         self.link.evict(&step.dropped);
-        for (page, _) in &step.rejected {
-            self.link.reject(*page);
-        }
-        self.rejected += step.rejected.len() as u64;
         self.link.set_wants(terrain.wants(), self.now);
+        for (page, why) in &step.rejected {
+            self.link.reject(*page);
+            self.lose(*page, &why.to_string());
+        }
         self.last_step = step;
     }
 }
@@ -162,7 +193,7 @@ impl TerrainClient for RemoteTerrain {
         StepStats {
             triangles: self.last_step.triangles,
             bytes_received: link.received_bytes,
-            pages_wanted: terrain.map_or(1, |terrain| terrain.wants().len()) as u32,
+            pages_wanted: terrain.map_or(1, |_| self.last_step.lacking) as u32,
             pages_in_flight: link.in_flight_pages as u32,
             pages_resident: terrain.map_or(0, |terrain| terrain.tree().resident()) as u32,
             bound_px: excess * f64::from(view.max_screen_error_px),
@@ -187,6 +218,10 @@ impl TerrainClient for RemoteTerrain {
         } else {
             ""
         };
+        let lost = match self.reasons.first() {
+            Some(first) => format!(", {} pages lost ({first})", self.lost),
+            None => String::new(),
+        };
         match self.link.state() {
             LinkState::Waiting { retry_at } => {
                 let seconds = retry_at.saturating_sub(self.now).as_secs_f32().ceil();
@@ -194,7 +229,7 @@ impl TerrainClient for RemoteTerrain {
                 format!("{trouble}; trying again in {seconds} s")
             }
             LinkState::Connecting | LinkState::Greeting { .. } => "connecting".into(),
-            LinkState::Open { .. } => format!("connected{full}"),
+            LinkState::Open { .. } => format!("connected{full}{lost}"),
             LinkState::Refused => "refused".into(),
         }
     }

@@ -4,13 +4,13 @@
 //! what has arrived, updates the mesh, unlinks what the memory cap does not allow, and
 //! triangulates what changed.
 
-use crate::mesh::{LinkError, MeshTree, PageMesh};
+use crate::mesh::{LinkError, MeshTree, PageMesh, Wish};
 use escarp_proto::geometry::PageId;
 use escarp_proto::manifest::Manifest;
-use escarp_proto::page::Page;
+use escarp_proto::page::{Page, PageError, RevisionDigest};
 use escarp_proto::view::View;
 use escarp_proto::wire::{Chunk, Want};
-use std::collections::{HashSet, VecDeque};
+use std::collections::{HashMap, HashSet, VecDeque};
 use std::sync::Arc;
 
 /// Memory for resident pages that a client takes if nobody says otherwise, bytes.
@@ -25,6 +25,8 @@ pub struct Terrain {
     arrived: VecDeque<Chunk>,
     /// Pages that do not come, or do not fit what is above them.
     missing: HashSet<PageId>,
+    /// Of pages that are not whole yet.
+    digests: HashMap<PageId, RevisionDigest>,
     wants: Vec<Want>,
 }
 
@@ -33,6 +35,8 @@ pub struct Terrain {
 pub struct TerrainStep {
     /// Largest bound of a triangle that may be seen, over the tolerance; infinite without a bound.
     pub excess: f64,
+    /// Pages that the mesh would use and has not, those that do not come included.
+    pub lacking: usize,
     /// Triangles of the mesh.
     pub triangles: u64,
     /// Pages that are no longer here, or came too late to be of use.
@@ -52,6 +56,7 @@ impl Terrain {
             memory_cap_bytes,
             arrived: VecDeque::new(),
             missing: HashSet::new(),
+            digests: HashMap::new(),
             wants: Vec::new(),
         }
     }
@@ -99,12 +104,18 @@ impl Terrain {
         }
         step.excess = self.tree.update(view).excess;
         step.dropped.extend(self.tree.evict(self.memory_cap_bytes));
+        for page in &step.dropped {
+            self.digests.remove(page);
+        }
         step.memory_full = self.tree.memory_bytes() > self.memory_cap_bytes;
+        let wishes = self.tree.wishes();
+        step.lacking = wishes.len();
         self.wants.clear();
         if !step.memory_full {
-            let wishes = self.tree.wishes().into_iter();
-            let wishes = wishes.filter(|wish| !self.missing.contains(&wish.page));
-            self.wants.extend(wishes.map(|wish| wish.to_want()));
+            let open = wishes
+                .iter()
+                .filter(|wish| !self.missing.contains(&wish.page));
+            self.wants.extend(open.map(Wish::to_want));
         }
         step.triangles = self.tree.triangulate();
         step
@@ -126,8 +137,31 @@ impl Terrain {
         }
     }
 
-    /// The page that results from a chunk: new, or with more parts than before.
-    fn decode(&self, id: PageId, chunk: &Chunk) -> Result<Page, LinkError> {
+    /// The page that results from a chunk: new, or with more parts than before. A page that is
+    /// whole is held against its revision.
+    fn decode(&mut self, id: PageId, chunk: &Chunk) -> Result<Page, LinkError> {
+        let page = self.join(id, chunk)?;
+        let new = || RevisionDigest::new(id);
+        let digest = match chunk.first_part {
+            0 => Some(new()),
+            // Parts that no digest is kept of are parts of a page that was dropped meanwhile.
+            _ => self.digests.remove(&id),
+        };
+        let mut digest = digest.ok_or(LinkError::Orphan(id))?;
+        digest.update(&chunk.bytes);
+        if page.parts() < page.last_part() {
+            self.digests.insert(id, digest);
+        } else if digest.revision() != chunk.revision {
+            return Err(LinkError::Page(PageError::Checksum {
+                page: id,
+                found: digest.revision(),
+                expected: chunk.revision,
+            }));
+        }
+        Ok(page)
+    }
+
+    fn join(&self, id: PageId, chunk: &Chunk) -> Result<Page, LinkError> {
         let finest = self.manifest.grid_levels.is_finest(id);
         if chunk.first_part == 0 {
             return Ok(Page::decode(id, finest, chunk.last_part, &chunk.bytes)?);

@@ -8,6 +8,9 @@
 use crate::page::Range;
 use serde::{Deserialize, Serialize};
 
+/// Allowed distances of samples, and units of height, metres.
+pub const SCALES_M: std::ops::RangeInclusive<f64> = 1e-9..=1e9;
+
 /// From grid coordinates and quanta to metres.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Georef {
@@ -94,15 +97,18 @@ impl Georef {
     /// # Errors
     /// What is wrong, for a field that is not finite, or a spacing or quantum that is not positive.
     pub fn check(&self) -> Result<(), String> {
-        let positive = [
-            self.sample_spacing_m[0],
-            self.sample_spacing_m[1],
-            self.quantum_m,
-        ];
-        if !positive.iter().all(|v| v.is_normal() && *v > 0.0) {
-            return Err(format!(
-                "spacing or quantum {positive:?}, allowed are positive numbers"
-            ));
+        let [dx, dy] = self.sample_spacing_m;
+        for (name, found) in [
+            ("spacing", dx),
+            ("spacing", dy),
+            ("quantum", self.quantum_m),
+        ] {
+            if !SCALES_M.contains(&found) {
+                let (least, most) = (SCALES_M.start(), SCALES_M.end());
+                return Err(format!(
+                    "{name} of {found:e} m, allowed are {least:e} to {most:e} m"
+                ));
+            }
         }
         if !self.origin_m.iter().all(|v| v.is_finite()) {
             return Err(format!(

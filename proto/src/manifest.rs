@@ -131,7 +131,7 @@ impl Manifest {
         match corners
             .into_iter()
             .flatten()
-            .find(|v| !(v.abs() <= FARTHEST_EYE_M))
+            .find(|v| v.is_nan() || v.abs() > FARTHEST_EYE_M)
         {
             None => Ok(()),
             Some(found) => Err(format!(
@@ -203,7 +203,7 @@ mod tests {
         assert!(refusal(|m| m.storage_error_m = -1.0).contains("storage error"));
         assert!(refusal(|m| m.codec = 9).contains("codec"));
         assert!(refusal(|m| m.georef.quantum_m = 0.0).contains("quantum"));
-        assert!(refusal(|m| m.georef.sample_spacing_m[1] = 1e300).contains("corner"));
+        assert!(refusal(|m| m.georef.sample_spacing_m[1] = 1e300).contains("spacing"));
         assert!(refusal(|m| m.georef.origin_m[0] = -1e13).contains("corner"));
         let deep = String::from_utf8(manifest().to_json()).unwrap();
         let deep = deep.replace("\"grid_levels\": 8", "\"grid_levels\": 9");

@@ -335,7 +335,7 @@ fn pages_without_end_that_nobody_wants_take_no_memory() {
         |d| d.client.is_settled(),
     );
     assert_eq!(resident(&driver), resident(&honest));
-    assert_eq!(driver.client.rejected_pages(), 0);
+    assert_eq!(driver.client.lost_pages().0, 0);
 }
 
 #[test]

@@ -79,7 +79,7 @@ fn a_server_that_crashes_and_comes_back_leaves_the_picture_and_sends_no_page_twi
     let twice: Vec<_> = asked.iter().filter(|page| resident(**page)).collect();
     assert!(twice.is_empty(), "sent again: {twice:?}");
     settle(&mut driver, &near);
-    assert_eq!(driver.client.rejected_pages(), 0);
+    assert_eq!(driver.client.lost_pages().0, 0);
     host.stop();
 }
 
@@ -120,5 +120,5 @@ fn a_server_stopped_in_mid_flight_is_found_again_and_the_rest_arrives() {
     let mut local = same_pages(&data, tree(&driver));
     local.update(&view);
     assert_eq!(tree(&driver).flags(), local.flags());
-    assert_eq!(driver.client.rejected_pages(), 0);
+    assert_eq!(driver.client.lost_pages().0, 0);
 }

@@ -92,7 +92,7 @@ impl Driver {
     /// If the server refuses for good.
     pub fn settle(&mut self, view: &View, wait: Duration) -> Result<StepStats> {
         view.check()?;
-        let until = self.now() + wait;
+        let until = self.now().saturating_add(wait);
         loop {
             let stats = self.step(view);
             if let Some(failure) = self.client.failure() {
@@ -174,6 +174,8 @@ pub struct FrameReport {
     pub pages_resident: u32,
     /// Error bound of the frame, pixels; `null` while there is none.
     pub bound_px: Option<f64>,
+    /// Whether there was a session with the server.
+    pub connected: bool,
     /// Updating and triangulating, milliseconds.
     pub update_ms: f32,
     /// Drawing and reading back, milliseconds; absent where no picture is made.
@@ -221,7 +223,10 @@ pub fn fly(
         let stats = if options.settle {
             driver.settle(&view, Duration::from_secs(60))?
         } else {
-            wait_until(driver, began + Duration::from_secs_f64(time_s));
+            wait_until(
+                driver,
+                began + Duration::from_secs_f64(time_s - flight.frame_time_s(0)),
+            );
             driver.step(&view)
         };
         if let Some(failure) = driver.client.failure() {
@@ -236,6 +241,7 @@ pub fn fly(
             pages_in_flight: stats.pages_in_flight,
             pages_resident: stats.pages_resident,
             bound_px: stats.bound_px.is_finite().then_some(stats.bound_px),
+            connected: driver.client.is_connected(),
             update_ms: stats.update_ms,
             draw_ms: None,
         };

@@ -70,7 +70,7 @@ pub(super) struct ServerArgs {
     /// Address of the dataset, http://HOST:PORT/NAME
     #[arg(value_name = "URL")]
     url: Url,
-    /// Most memory for resident pages, MB
+    /// Most memory for resident pages, MB; the GPU's copy of what is drawn comes on top
     #[arg(long, default_value_t = 1024, value_name = "MB", value_parser = clap::value_parser!(u32).range(16..))]
     memory_mb: u32,
 }

@@ -29,7 +29,7 @@ pub(super) struct FlyArgs {
     #[arg(long)]
     wireframe: bool,
     /// Longest wait for the server, seconds
-    #[arg(long, default_value_t = 30, value_name = "S")]
+    #[arg(long, default_value_t = 30, value_name = "S", value_parser = clap::value_parser!(u64).range(..=86_400))]
     wait: u64,
 }
 
@@ -45,10 +45,36 @@ pub(super) fn run(args: &FlyArgs) -> Result<()> {
         wireframe: args.wireframe,
     };
     let mut out = BufWriter::new(std::io::stdout().lock());
-    let frames = fly(&mut driver, &manifest, &flight, &options, &mut out)?;
-    out.flush()?;
+    let flown = fly(&mut driver, &manifest, &flight, &options, &mut out);
+    let frames = match flown.and_then(|frames| Ok(out.flush().map(|()| frames)?)) {
+        // Whoever reads the lines has seen enough.
+        Err(error) if is_broken_pipe(&error) => return Ok(()),
+        frames => frames?,
+    };
     summarise(&frames, flight.view(0.0).max_screen_error_px);
+    let away = frames.iter().filter(|frame| !frame.connected).count();
+    if away > 0 {
+        eprintln!(
+            "warning: no connection in {away} of {} frames",
+            frames.len()
+        );
+    }
+    let (lost, reasons) = driver.client.lost_pages();
+    if lost > 0 {
+        eprintln!("warning: {lost} pages lost: {}", reasons.join("; "));
+    }
     Ok(())
+}
+
+fn is_broken_pipe(error: &anyhow::Error) -> bool {
+    error.chain().any(|cause| {
+        let io = cause.downcast_ref::<std::io::Error>();
+        let json = cause.downcast_ref::<serde_json::Error>();
+        let kind = io
+            .map(|e| e.kind())
+            .or(json.and_then(|e| e.io_error_kind()));
+        kind == Some(std::io::ErrorKind::BrokenPipe)
+    })
 }
 
 fn read_path(path: &PathBuf) -> Result<Flight> {
@@ -94,7 +120,7 @@ fn summarise(frames: &[FrameReport], error_px: f32) {
     eprintln!("update: median {update_ms:.2} ms, longest {slowest_ms:.2} ms a frame");
     match first {
         Some(first) => eprintln!(
-            "within {error_px} px from {:.2} s on the path",
+            "within {error_px} px first at {:.2} s on the path",
             first.time_s
         ),
         None => eprintln!("never within {error_px} px"),

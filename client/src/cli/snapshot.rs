@@ -1,11 +1,12 @@
 //! `escarp-client snapshot`.
 
 use super::arguments::{FOV_Y, LookArgs, ServerArgs};
+use crate::app::TerrainClient;
 use crate::app::headless::{Driver, Painter, save};
 use crate::camera::look_at;
-use anyhow::Result;
+use anyhow::{Result, bail};
 use clap::Args;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 #[derive(Debug, Args)]
@@ -18,11 +19,12 @@ pub(super) struct SnapshotArgs {
     #[arg(short, long, value_name = "FILE.png")]
     output: PathBuf,
     /// Longest wait for the picture to come within the tolerance, seconds
-    #[arg(long, default_value_t = 60, value_name = "S")]
+    #[arg(long, default_value_t = 60, value_name = "S", value_parser = clap::value_parser!(u64).range(..=86_400))]
     wait: u64,
 }
 
 pub(super) fn run(args: &SnapshotArgs) -> Result<()> {
+    check_output(&args.output)?;
     let mut driver = Driver::new(args.server.open());
     let wait = Duration::from_secs(args.wait);
     let manifest = driver.connect(wait)?;
@@ -50,11 +52,36 @@ pub(super) fn run(args: &SnapshotArgs) -> Result<()> {
         args.look.error_px,
     );
     if !stats.converged {
-        eprintln!(
-            "warning: the picture is not within the tolerance: {} pages are missing; {}",
-            stats.pages_wanted,
-            crate::app::TerrainClient::status(&driver.client)
+        let (lost, reasons) = driver.client.lost_pages();
+        let why = match lost {
+            0 => driver.client.status(),
+            _ => format!("{lost} pages lost: {}", reasons.join("; ")),
+        };
+        bail!(
+            "the picture is not within {} px: {} pages are missing ({why})",
+            args.look.error_px,
+            stats.pages_wanted
         );
+    }
+    Ok(())
+}
+
+/// Says what is wrong with a path before anything is done for it.
+fn check_output(path: &Path) -> Result<()> {
+    if path
+        .extension()
+        .is_none_or(|ending| !ending.eq_ignore_ascii_case("png"))
+    {
+        bail!(
+            "{}: pictures are PNG files; give a name that ends in .png",
+            path.display()
+        );
+    }
+    let folder = path
+        .parent()
+        .filter(|folder| !folder.as_os_str().is_empty());
+    if let Some(folder) = folder.filter(|folder| !folder.is_dir()) {
+        bail!("{}: there is no such folder", folder.display());
     }
     Ok(())
 }

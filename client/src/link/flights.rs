@@ -12,6 +12,9 @@ use escarp_proto::wire::{Chunk, Want};
 use std::cmp::Ordering;
 use std::collections::HashMap;
 
+/// A page is given up when chunks that do not continue it came more often than this: no race with
+/// a cancel explains that.
+const MOST_HEALED: u32 = 8;
 /// A priority is told again only if it grew or fell by more than this.
 const PRIORITY_STEP: f32 = 2.0;
 
@@ -41,6 +44,8 @@ struct Flight {
     sent: bool,
     /// Whether `asked` is still to be told.
     untold: bool,
+    /// How often a chunk came that made it be asked for again.
+    healed: u32,
 }
 
 /// What becomes of a chunk.
@@ -50,8 +55,8 @@ pub(super) enum Verdict {
     Taken,
     /// Not asked for, or not what comes next.
     Stray,
-    /// It does not belong to the parts that are here.
-    OtherRevision,
+    /// It does not belong to the parts that are here, or never is what was asked for.
+    Unusable,
 }
 
 impl Flights {
@@ -131,10 +136,13 @@ impl Flights {
             && total <= MAX_RECORD_BYTES;
         if !fits {
             self.any_untold |= flight.heal(chunk);
-            return Verdict::Stray;
+            return match flight.healed > MOST_HEALED {
+                true => Verdict::Unusable,
+                false => Verdict::Stray,
+            };
         }
         if flight.next_part > 0 && !held.joins(chunk.page, chunk.revision) {
-            return Verdict::OtherRevision;
+            return Verdict::Unusable;
         }
         flight.bytes = total;
         flight.next_part = chunk.last_part + 1;
@@ -205,6 +213,7 @@ impl Flight {
             round,
             sent: false,
             untold: true,
+            healed: 0,
         }
     }
 
@@ -230,6 +239,7 @@ impl Flight {
     fn heal(&mut self, chunk: &Chunk) -> bool {
         let repeated = chunk.last_part < self.next_part;
         self.untold |= !repeated;
+        self.healed += u32::from(!repeated);
         !repeated
     }
 

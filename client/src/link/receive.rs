@@ -114,9 +114,10 @@ impl Link {
         match self.flights.take(&chunk, &mut self.held) {
             Verdict::Taken => self.events.push_page(Event::Chunk(chunk)),
             Verdict::Stray => self.stats.dropped_chunks += 1,
-            // The revision of a page does not change within a session: the server, or the disk
-            // below it, is at fault, and asking again would bring the same.
-            Verdict::OtherRevision => {
+            // The revision of a page does not change within a session, and parts come as asked
+            // for: the server, or the disk below it, is at fault, and asking again would bring
+            // the same.
+            Verdict::Unusable => {
                 self.stats.dropped_chunks += 1;
                 self.lose(chunk.page, MissReason::Damaged);
             }

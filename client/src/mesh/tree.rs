@@ -192,9 +192,9 @@ impl MeshTree {
             if let Some(neighbour) = neighbour {
                 let node = self.node_mut(neighbour);
                 node.neighbours[edge.opposite() as usize] = Some(index);
-                node.stale_vertices.add_edge(edge.opposite());
             }
         }
+        self.mark_around(index);
         self.changes += 1;
         Ok(())
     }
@@ -276,15 +276,31 @@ impl MeshTree {
         node.findings = Findings::NONE;
         node.stale_vertices = Stale::ALL;
         node.stale_triangles = true;
-        let neighbours = node.neighbours;
+        self.mark_around(index);
+        self.changes += 1;
+    }
+
+    /// A page has come, gone or changed: the vertices that the pages around share with it are
+    /// stale. Those across a corner share one, on two of their edges.
+    fn mark_around(&mut self, index: Index) {
+        let neighbours = self.node(index).neighbours;
         for edge in Edge::ALL {
-            if let Some(neighbour) = neighbours[edge as usize] {
-                self.node_mut(neighbour)
-                    .stale_vertices
-                    .add_edge(edge.opposite());
+            let Some(neighbour) = neighbours[edge as usize] else {
+                continue;
+            };
+            let node = self.node_mut(neighbour);
+            node.stale_vertices.add_edge(edge.opposite());
+            let beyond = node.neighbours;
+            for side in [Edge::South, Edge::North] {
+                if matches!(edge, Edge::East | Edge::West)
+                    && let Some(diagonal) = beyond[side as usize]
+                {
+                    self.node_mut(diagonal)
+                        .stale_vertices
+                        .add_edge(side.opposite());
+                }
             }
         }
-        self.changes += 1;
     }
 
     /// Unlinks pages that nothing on the screen needs, the longest unused first, until the rest
@@ -319,6 +335,7 @@ impl MeshTree {
         let Some(index) = self.by_id.remove(&id) else {
             return;
         };
+        self.mark_around(index);
         let Some(node) = self.nodes[index as usize].take() else {
             return;
         };
@@ -330,9 +347,7 @@ impl MeshTree {
         }
         for edge in Edge::ALL {
             if let Some(neighbour) = node.neighbours[edge as usize] {
-                let neighbour = self.node_mut(neighbour);
-                neighbour.neighbours[edge.opposite() as usize] = None;
-                neighbour.stale_vertices.add_edge(edge.opposite());
+                self.node_mut(neighbour).neighbours[edge.opposite() as usize] = None;
             }
         }
         self.changes += 1;

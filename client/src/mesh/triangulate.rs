@@ -136,7 +136,50 @@ impl MeshTree {
     }
 
     /// A vertex with the slopes to its neighbouring samples, those of neighbouring pages included.
+    ///
+    /// Slopes are taken over the largest step of the pages that share the vertex, so that they
+    /// agree on its normal and their shading meets; where one of them is not resident, the page
+    /// above has the surface there, and so has the say.
     fn vertex(&self, node: &Node, x: usize, y: usize, step: usize) -> Vertex {
+        match (self.shared_step(node, x, y, step), node.parent) {
+            (None, Some((parent, slot))) if x % PAGE_CELLS == 0 && y % PAGE_CELLS == 0 => {
+                let (column, row) = slot.position();
+                let parent = self.node(parent);
+                let (x, y) = (column + x / PAGE_CELLS, row + y / PAGE_CELLS);
+                self.vertex(parent, x, y, level_step(parent.page.depth()))
+            }
+            (shared, _) => self.vertex_over(node, x, y, shared.unwrap_or(step)),
+        }
+    }
+
+    /// The largest step of the pages around a vertex; `None` if one of them is not resident.
+    fn shared_step(&self, node: &Node, x: usize, y: usize, step: usize) -> Option<usize> {
+        let edge = |i: usize, low: Edge, high: Edge| match i {
+            0 => Some(low),
+            PAGE_CELLS => Some(high),
+            _ => None,
+        };
+        let (along, across) = (
+            edge(x, Edge::West, Edge::East),
+            edge(y, Edge::South, Edge::North),
+        );
+        let mut largest = step;
+        for path in [[along, None], [across, None], [along, across]] {
+            let mut there = node;
+            for edge in path.into_iter().flatten() {
+                // Beyond the border of the grid there is nothing to agree with.
+                if there.page.id().neighbour(edge).is_none() {
+                    there = node;
+                    break;
+                }
+                there = self.node(there.neighbours[edge as usize]?);
+            }
+            largest = largest.max(level_step(there.page.depth()));
+        }
+        Some(largest)
+    }
+
+    fn vertex_over(&self, node: &Node, x: usize, y: usize, step: usize) -> Vertex {
         let own = node.page.height(y * PAGE_SAMPLES + x);
         let slope = |back: Edge, ahead: Edge, spacing_m: f64| {
             let height = |edge| self.sample_towards(node, (x, y), edge, step);

@@ -13,7 +13,7 @@ pub(crate) mod oracle;
 mod record;
 
 pub use bounds::{Bounds, BoxError, SquareErrors, square_index};
-pub use record::{Record, RecordHeader, revision};
+pub use record::{Record, RecordHeader, RevisionDigest, revision};
 
 use crate::err8::Err8;
 use crate::geometry::{PAGE_CELLS, PAGE_LEVELS, PAGE_SAMPLES, PAGE_SLOTS, PageId, Slot};

@@ -28,10 +28,32 @@ impl Record {
 /// The content address of a record: CRC-32C over the page's key and the record, so that a record
 /// in the wrong place does not match. It serves as checksum and as revision.
 pub fn revision(page: PageId, record: &[u8]) -> u32 {
-    let mut digest = crc_fast::Digest::new(crc_fast::CrcAlgorithm::Crc32Iscsi);
-    digest.update(&page.key().to_le_bytes());
+    let mut digest = RevisionDigest::new(page);
     digest.update(record);
-    digest.finalize() as u32
+    digest.revision()
+}
+
+/// A [`revision`] in the making, for a record that comes in parts.
+#[derive(Debug, Clone)]
+pub struct RevisionDigest(crc_fast::Digest);
+
+impl RevisionDigest {
+    /// Of a page of which nothing has come.
+    pub fn new(page: PageId) -> RevisionDigest {
+        let mut digest = crc_fast::Digest::new(crc_fast::CrcAlgorithm::Crc32Iscsi);
+        digest.update(&page.key().to_le_bytes());
+        RevisionDigest(digest)
+    }
+
+    /// Takes the next bytes of the record.
+    pub fn update(&mut self, bytes: &[u8]) {
+        self.0.update(bytes);
+    }
+
+    /// The revision, once the whole record has been taken.
+    pub fn revision(&self) -> u32 {
+        self.0.finalize() as u32
+    }
 }
 
 /// Part 0 of a record.

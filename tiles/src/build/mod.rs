@@ -23,6 +23,9 @@ use rows::{SourceRows, Stored};
 use std::path::{Path, PathBuf};
 use thiserror::Error;
 
+/// No dataset has more samples, holes included: a few bytes are kept for 256 of them.
+pub const MAX_SAMPLES: u64 = 1 << 36;
+
 /// Why a build stopped. Nothing is published then.
 #[derive(Debug, Error)]
 pub enum BuildError {
@@ -75,6 +78,12 @@ pub fn build(
     };
     let grid = GridLevels::covering(info.width, info.height)
         .ok_or_else(|| unfit(format!("{} x {} samples", info.width, info.height)))?;
+    if u64::from(info.width) * u64::from(info.height) > MAX_SAMPLES {
+        return Err(unfit(format!(
+            "{} x {} samples, allowed are {MAX_SAMPLES} in all; are the inputs of one area?",
+            info.width, info.height
+        )));
+    }
     let quantum_m = choose_quantum(source, options.quantum)?;
     let mut manifest = Manifest {
         format: FORMAT.into(),

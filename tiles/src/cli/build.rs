@@ -26,14 +26,19 @@ pub(super) struct BuildArgs {
     #[arg(short, long, value_name = "NAME.escarp")]
     output: PathBuf,
     /// Metres a unit of stored height; default: the input's own step, 0.01 for floating point
-    #[arg(long, value_name = "M", conflicts_with = "lossless")]
+    #[arg(
+        long,
+        value_name = "M",
+        conflicts_with = "lossless",
+        allow_negative_numbers = true
+    )]
     quantum: Option<f64>,
     /// Store every height exactly
     #[arg(long)]
     lossless: bool,
     /// Threads; default: one a core
-    #[arg(long, value_name = "N", default_value_t = 0)]
-    jobs: usize,
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u16).range(..=1024))]
+    jobs: u16,
     /// Replace a dataset of this name
     #[arg(long)]
     overwrite: bool,
@@ -47,7 +52,7 @@ pub(super) struct BuildArgs {
 pub(super) fn run(args: &BuildArgs) -> Result<ExitCode> {
     let started = Instant::now();
     rayon::ThreadPoolBuilder::new()
-        .num_threads(args.jobs)
+        .num_threads(usize::from(args.jobs))
         .build_global()
         .context("cannot start the threads")?;
     let mut source = open_all(&args.inputs, &args.input.options())?;
@@ -98,6 +103,9 @@ pub(super) fn run(args: &BuildArgs) -> Result<ExitCode> {
         return Ok(ExitCode::SUCCESS);
     }
     let [width, height] = manifest.samples;
+    if width < 2 || height < 2 {
+        eprintln!("warning: one row or column of samples has no surface: there is nothing to draw");
+    }
     println!(
         "{}: {width} x {height} samples, {} pages, {:.1} MB, {:.2} bits a sample",
         args.output.display(),

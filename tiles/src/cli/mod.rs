@@ -47,10 +47,10 @@ enum Command {
 #[derive(Debug, Clone, Args)]
 struct InputArgs {
     /// Metres between samples, for files without georeference
-    #[arg(long, value_name = "M")]
+    #[arg(long, value_name = "M", allow_negative_numbers = true)]
     spacing: Option<f64>,
     /// Metres a stored unit stands for, for integer files (PNG: default 1)
-    #[arg(long, value_name = "M")]
+    #[arg(long, value_name = "M", allow_negative_numbers = true)]
     height_step: Option<f64>,
     /// Metres added to every height
     #[arg(long, value_name = "M", allow_negative_numbers = true)]

@@ -8,6 +8,9 @@ use std::fs::{self, File};
 use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
+/// No `CURRENT` is longer, bytes.
+const LONGEST: u64 = 200;
+
 /// What `CURRENT` says.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Current {
@@ -32,11 +35,16 @@ impl Current {
     /// something else.
     pub fn read(folder: &Path) -> Result<Current, DatasetError> {
         let path = current_path(folder);
-        let text = fs::read(&path).map_err(|source| match source.kind() {
+        let found = fs::metadata(&path).map_err(|source| match source.kind() {
             ErrorKind::NotFound | ErrorKind::NotADirectory => not_a_dataset(folder),
-            _ => DatasetError::io(&path, "read")(source),
+            _ => DatasetError::io(&path, "read length")(source),
         })?;
-        let text = String::from_utf8_lossy(&text[..text.len().min(200)]).into_owned();
+        if !found.is_file() || found.len() > LONGEST {
+            let why = format!("no file of at most {LONGEST} bytes");
+            return Err(DatasetError::damaged(&path, why));
+        }
+        let text = fs::read(&path).map_err(DatasetError::io(&path, "read"))?;
+        let text = String::from_utf8_lossy(&text).into_owned();
         Self::parse(&text).ok_or_else(|| {
             let why = format!("says {text:?}, allowed are the three lines of tiles/FORMAT.md");
             DatasetError::damaged(&path, why)
@@ -103,8 +111,8 @@ impl Current {
     /// Publishes: replaces `CURRENT` and syncs the folder. All that it names must be synced before.
     pub(super) fn publish(&self, folder: &Path) -> Result<(), DatasetError> {
         let path = current_path(folder);
-        let mut file = tempfile::NamedTempFile::new_in(folder)
-            .map_err(DatasetError::io(folder, "create a file in the folder"))?;
+        let mut file =
+            new_file_in(folder).map_err(DatasetError::io(folder, "create a file in the folder"))?;
         let written = file
             .write_all(self.text().as_bytes())
             .and_then(|()| file.as_file().sync_all());
@@ -113,6 +121,19 @@ impl Current {
             .map_err(|error| DatasetError::io(&path, "rename into place")(error.error))?;
         sync_folder(folder)
     }
+}
+
+/// A file beside the one that it is to replace, with the permissions of any new file: whoever may
+/// read the segments may read this.
+fn new_file_in(folder: &Path) -> std::io::Result<tempfile::NamedTempFile> {
+    let mut builder = tempfile::Builder::new();
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt;
+        // The umask takes away what it takes away from the others.
+        builder.permissions(fs::Permissions::from_mode(0o666));
+    }
+    builder.tempfile_in(folder)
 }
 
 /// Makes renames and new names in a folder durable.

@@ -19,6 +19,13 @@ pub(super) struct Mapped {
 impl Mapped {
     /// Maps a file that must have exactly this length.
     pub(super) fn open(path: &Path, bytes: u64) -> Result<Mapped, DatasetError> {
+        // Opening a pipe would wait for a writer.
+        if std::fs::metadata(path).is_ok_and(|found| !found.is_file()) {
+            return Err(DatasetError::damaged(
+                path,
+                "not a file, but the manifest names it",
+            ));
+        }
         let file = File::open(path).map_err(|source| match source.kind() {
             std::io::ErrorKind::NotFound => {
                 DatasetError::damaged(path, "the file is missing, but the manifest names it")

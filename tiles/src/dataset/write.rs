@@ -49,8 +49,21 @@ pub struct DatasetWriter {
     open: Option<BufWriter<File>>,
     index: Vec<IndexEntry>,
     pages: u64,
+    published: bool,
     /// Held until the writer goes.
     _lock: File,
+}
+
+impl Drop for DatasetWriter {
+    /// What was not published is of no use: a full disk gets its room back.
+    fn drop(&mut self) {
+        if !self.published {
+            self.open = None;
+            let own = self.generation;
+            // There is nobody to tell, and the next writer tries again.
+            let _ = remove_generations(&self.folder, |generation| generation == own);
+        }
+    }
 }
 
 impl DatasetWriter {
@@ -89,6 +102,7 @@ impl DatasetWriter {
             open: None,
             index: Vec::new(),
             pages: 0,
+            published: false,
             _lock: lock,
         })
     }
@@ -169,7 +183,7 @@ impl DatasetWriter {
         manifest.generation = self.generation;
         manifest.pages = self.pages;
         manifest.index = write_index(&self.folder, self.generation, &mut self.index)?;
-        manifest.segments = self.segments;
+        manifest.segments = std::mem::take(&mut self.segments);
         let json = manifest.to_json();
         let current = Current {
             generation: self.generation,
@@ -178,6 +192,8 @@ impl DatasetWriter {
         };
         write_synced(&current.manifest_path(&self.folder), &json)?;
         sync_folder(&self.folder)?;
+        // From here on CURRENT may name this generation, whatever fails.
+        self.published = true;
         current.publish(&self.folder)?;
         remove_generations(&self.folder, |generation| generation != self.generation)?;
         Ok(manifest)
