@@ -130,4 +130,12 @@ fn summarise(frames: &[FrameReport], error_px: f32) {
         within.count(),
         frames.len()
     );
+    let bounds = frames
+        .iter()
+        .map(|frame| frame.bound_px.unwrap_or(f64::INFINITY));
+    let mut bounds: Vec<f64> = bounds.collect();
+    bounds.sort_unstable_by(f64::total_cmp);
+    let share = |percent: usize| bounds[(bounds.len() - 1) * percent / 100];
+    let (half, most) = (share(50), share(99));
+    eprintln!("error bound: median {half:.2} px, 99 % at most {most:.2} px");
 }
