@@ -36,13 +36,16 @@ pub(super) fn run(args: &SnapshotArgs) -> Result<()> {
     driver.step(&view);
     let mut painter = Painter::new(&manifest, args.look.size.0)?;
     let stats = driver.settle(&view, wait)?;
-    let first_s = driver.first_picture().map_or(f64::NAN, |t| t.as_secs_f64());
+    let first = match driver.first_picture() {
+        Some(time) => format!("first triangles after {:.3} s", time.as_secs_f64()),
+        None => "no triangles".into(),
+    };
     let settled_s = driver.now().as_secs_f64();
     let image = painter.paint(&driver.client, view, args.look.wireframe)?;
     save(&image, &args.output)?;
     println!(
         "{}: {} triangles, {} pages, {} bytes received, error bound {:.3} px of {} px; \
-         connected after {connected_s:.3} s, first triangles after {first_s:.3} s, all here after \
+         connected after {connected_s:.3} s, {first}, settled after \
          {settled_s:.3} s",
         args.output.display(),
         stats.triangles,
