@@ -15,7 +15,7 @@ const HIGHEST_M: f64 = 3200.0;
 
 /// Square pages of one level, all at full detail, of ridges and valleys.
 #[derive(Debug)]
-pub struct FakeTerrain {
+pub(crate) struct FakeTerrain {
     manifest: Arc<Manifest>,
     pages: Vec<PageMesh>,
     /// Pages that have arrived: they come a few at a time, as from a network.
@@ -125,7 +125,7 @@ fn page(id: PageId, (x0, y0): (u32, u32), georef: &Georef) -> PageMesh {
 }
 
 /// Two triangles for each cell of a page.
-pub fn full_triangles() -> Vec<u16> {
+pub(crate) fn full_triangles() -> Vec<u16> {
     let (cells, side) = (PAGE_CELLS as u16, PAGE_SAMPLES as u16);
     let corners = (0..cells).flat_map(|j| (0..cells).map(move |i| j * side + i));
     let two = |k: u16| [k, k + 1, k + side + 1, k, k + side + 1, k + side];
@@ -183,7 +183,7 @@ fn hash(x: f64, y: f64, seed: u32) -> f64 {
 }
 
 /// A manifest of a dataset that does not exist, with `samples` a side and this range of quanta.
-pub fn manifest(
+pub(crate) fn manifest(
     grid_levels: GridLevels,
     samples: u32,
     height_range: [i32; 2],

@@ -1,6 +1,7 @@
 //! Programs over a terrain client: what they need of one, and the viewer.
 
-pub mod fake;
+#[cfg(test)]
+pub(crate) mod fake;
 mod ground;
 pub mod headless;
 pub mod viewer;
