@@ -1,4 +1,4 @@
-//! A terrain from a formula, for tests and for looking at the viewer without a server.
+//! A terrain from a formula, for tests.
 
 use super::{StepStats, TerrainClient};
 use crate::mesh::{PageMesh, Vertex};
