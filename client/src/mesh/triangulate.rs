@@ -142,7 +142,9 @@ impl MeshTree {
     /// above has the surface there, and so has the say.
     fn vertex(&self, node: &Node, x: usize, y: usize, step: usize) -> Vertex {
         match (self.shared_step(node, x, y, step), node.parent) {
-            (None, Some((parent, slot))) if x % PAGE_CELLS == 0 && y % PAGE_CELLS == 0 => {
+            (None, Some((parent, slot)))
+                if x.is_multiple_of(PAGE_CELLS) && y.is_multiple_of(PAGE_CELLS) =>
+            {
                 let (column, row) = slot.position();
                 let parent = self.node(parent);
                 let (x, y) = (column + x / PAGE_CELLS, row + y / PAGE_CELLS);
