@@ -18,7 +18,7 @@ help: ## List the targets
 	@echo '    NAME=NAME         name of the dataset; default: that of the first file'
 	@echo '    PORT=N            port of the server; default: a free one'
 	@echo '    HEADLESS=1        write pictures even where there is a display'
-	@echo 'make test         install what is missing, check the code, run all tests'
+	@echo 'make test         install what is missing, run all tests (with CI set: lint first)'
 	@echo 'make lint         check the code only: rustfmt, clippy, cargo-deny where installed'
 	@echo 'make clean-demo   remove the folder demo/'
 
