@@ -18,7 +18,7 @@ const MOST_SOURCES: usize = 256;
 
 #[derive(Debug, Args)]
 pub(super) struct BuildArgs {
-    /// DEM files: GeoTIFF, SRTM .hgt and .hgt.zip, 16-bit PNG. Where several overlap, the one
+    /// DEM files: GeoTIFF, SRTM .hgt and .hgt.zip, 8 and 16 bit greyscale PNG. Where several overlap, the one
     /// named first counts
     #[arg(required = true, value_name = "INPUT")]
     inputs: Vec<PathBuf>,
@@ -118,6 +118,11 @@ pub(super) fn run(args: &BuildArgs) -> Result<ExitCode> {
         manifest.georef.quantum_m,
         rounded_up(manifest.storage_error_m)
     );
+    let voids = samples - manifest.valid_samples;
+    if voids > 0 {
+        let share = 100.0 * voids as f64 / samples as f64;
+        println!("{voids} samples without data ({share:.1} %): they stay holes");
+    }
     if let Some(overlaps) = overlaps {
         print_overlaps(&overlaps);
     }

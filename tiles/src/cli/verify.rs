@@ -50,13 +50,15 @@ pub(super) fn run(args: &VerifyArgs) -> Result<ExitCode> {
     };
     let allowed_m = dataset.manifest().storage_error_m;
     let exact = against.is_none_or(|a| a.largest_difference_m <= allowed_m && a.invented == 0);
+    let holds = report.broken.is_empty() && exact;
     if args.json {
         let all = json!({ "bounds": report, "against": against, "storage_error_m": allowed_m });
         println!("{all:#}");
     } else {
         print(&report, against, allowed_m);
+        println!("{}", if holds { "OK" } else { "FAILED" });
     }
-    Ok(if report.broken.is_empty() && exact {
+    Ok(if holds {
         ExitCode::SUCCESS
     } else {
         ExitCode::FAILURE

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, thiserror::Error)]
 pub enum DemError {
     /// The file is of another kind: the user gave the wrong file.
-    #[error("{}: not a DEM: {found}; GeoTIFF, SRTM .hgt and .hgt.zip, and greyscale PNG are read", path.display())]
+    #[error("{}: not a DEM that Escarp reads: {found}; it reads GeoTIFF, SRTM .hgt and .hgt.zip, and greyscale PNG; most others become one by: gdal_translate INPUT OUTPUT.tif", path.display())]
     NotADem {
         /// The file.
         path: PathBuf,

@@ -207,7 +207,7 @@ fn tile_entry(archive: &mut Archive, path: &Path) -> Result<(usize, String), Dem
         }
     }
     let found = format!(
-        "a zip of {} entries, none of them .hgt (unzip it first)",
+        "a zip with no .hgt in it ({} in all): unzip it first",
         archive.len()
     );
     Err(DemError::not_a_dem(path, found))

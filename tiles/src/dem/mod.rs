@@ -85,6 +85,19 @@ pub enum Crs {
     Local,
 }
 
+impl std::fmt::Display for Crs {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Crs::Projected {
+                name,
+                metres_per_unit,
+            } => write!(f, "{name} with units of {metres_per_unit} m"),
+            Crs::Geographic { name, radius_m } => write!(f, "{name} on a radius of {radius_m} m"),
+            Crs::Local => f.write_str("none"),
+        }
+    }
+}
+
 /// Whether samples were recorded as grid points or as cells. For information: [`Placement`]
 /// already has the half-cell shift applied.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

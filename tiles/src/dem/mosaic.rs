@@ -220,8 +220,8 @@ fn misfit(
     first: &DemInfo,
     other: &DemInfo,
     what: &str,
-    a: &dyn std::fmt::Debug,
-    b: &dyn std::fmt::Debug,
+    a: &dyn std::fmt::Display,
+    b: &dyn std::fmt::Display,
 ) -> DemError {
     let (one, two) = (first.path.display(), other.path.display());
     let Placement { dx, dy, .. } = first.placement;
@@ -232,7 +232,7 @@ fn misfit(
             "build it alone",
         );
     };
-    let what = format!("{what} is {b:?}, and {a:?} in {one}");
+    let what = format!("{what} is {b}, and {a} in {one}");
     let command =
         format!("gdalwarp -t_srs '{name}' -tr {dx} {dy} -r bilinear '{two}' '{one}' merged.tif");
     DemError::usage(&other.path, what, format!("merge them first: {command}"))

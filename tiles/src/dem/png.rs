@@ -190,10 +190,10 @@ fn sample_type(header: &Header, path: &Path) -> Result<SampleType, DemError> {
         (6, _) => "an RGBA PNG".into(),
         (other, _) => format!("a PNG of colour type {other}"),
     };
-    let hint = format!(
-        "heights must be greyscale with 16 or 8 bits: gdal_translate -b 1 -of PNG {}",
-        in_and_out(path).replace(".tif", ".png"),
-    );
+    let hint = "heights must be greyscale with 16 or 8 bits; if the colours code heights, as in \
+                Mapbox terrain-RGB, decode them first: gdal_calc.py -R IN.png --R_band=1 -G IN.png \
+                --G_band=2 -B IN.png --B_band=3 --type=Float32 --outfile=OUT.tif \
+                --calc=\"-10000+(R*65536.0+G*256.0+B)*0.1\"";
     Err(DemError::unsupported(path, what, hint))
 }
 

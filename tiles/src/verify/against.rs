@@ -2,7 +2,8 @@
 
 use crate::build::BuildError;
 use crate::dataset::{Dataset, PageReader};
-use crate::dem::DemSource;
+use crate::dem::{DemInfo, DemSource};
+use crate::frame::georef_of;
 use escarp_proto::geometry::PAGE_CELLS;
 use serde::Serialize;
 
@@ -23,7 +24,7 @@ pub struct Against {
 /// Compares every sample.
 ///
 /// # Errors
-/// [`BuildError::Unfit`] if the sizes differ; otherwise what reading either says.
+/// [`BuildError::Unfit`] if the sizes or places differ; otherwise what reading either says.
 pub fn compare(
     dataset: &Dataset,
     source: &mut dyn DemSource,
@@ -40,6 +41,7 @@ pub fn compare(
             ),
         });
     }
+    check_place(dataset, &info)?;
     let mut reader = PageReader::new(dataset);
     let mut found = Against::default();
     let mut given = Vec::new();
@@ -75,6 +77,28 @@ pub fn compare(
         progress(u64::from(page_rows - page_row), u64::from(page_rows));
     }
     Ok(found)
+}
+
+/// The same heights in another place are other data.
+fn check_place(dataset: &Dataset, info: &DemInfo) -> Result<(), BuildError> {
+    let stored = &dataset.manifest().georef;
+    let given = georef_of(info, stored.quantum_m);
+    let cell = stored.sample_spacing_m[0].min(stored.sample_spacing_m[1]);
+    let differs = |a: [f64; 2], b: [f64; 2]| (0..2).any(|i| (a[i] - b[i]).abs() > 1e-6 * cell);
+    if stored.plane == given.plane
+        && !differs(stored.origin_m, given.origin_m)
+        && !differs(stored.sample_spacing_m, given.sample_spacing_m)
+    {
+        return Ok(());
+    }
+    Err(BuildError::Unfit {
+        path: info.path.clone(),
+        why: format!(
+            "it lies elsewhere: south-west sample at {:?}, spacing {:?} m, but in the dataset {:?}, \
+             {:?} m",
+            given.origin_m, given.sample_spacing_m, stored.origin_m, stored.sample_spacing_m
+        ),
+    })
 }
 
 impl Against {
