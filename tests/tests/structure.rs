@@ -231,13 +231,7 @@ fn the_protocol_and_the_tiles_are_built_without_sockets() {
 fn graphics_are_named_under_one_folder_only() {
     let render = workspace().join("client/src/render");
     let mut inside = 0;
-    for folder in [
-        "client/src",
-        "client/examples",
-        "server/src",
-        "tiles/src",
-        "proto/src",
-    ] {
+    for folder in ["client/src", "server/src", "tiles/src", "proto/src"] {
         for path in sources(folder) {
             if path.starts_with(&render) {
                 inside += usize::from(says(&path, "wgpu"));
