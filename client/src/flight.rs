@@ -27,7 +27,7 @@ pub const FIELDS_OF_VIEW_DEG: [f64; 2] = [1.0, 170.0];
 #[derive(Debug, Error)]
 pub enum PathError {
     /// It is not JSON of the right form.
-    #[error("not a path: {0}")]
+    #[error("not a path")]
     Json(#[from] serde_json::Error),
     /// A value is not allowed.
     #[error("path: {field} is {found}, allowed is {allowed}")]
@@ -422,7 +422,8 @@ pub(crate) mod tests {
             (path.size, path.fps, path.frames()),
             ([1280, 720], 30.0, 76)
         );
-        let error = |json: &str| read(json).unwrap_err().to_string();
+        // As a program prints it: the error and its cause.
+        let error = |json: &str| format!("{:#}", anyhow::Error::new(read(json).unwrap_err()));
         assert!(error(r#"{"keys":[]}"#).contains("number of keys is 0"));
         let falling = format!(r#"{{"keys":[{},{}]}}"#, key("3"), key("3"));
         assert!(

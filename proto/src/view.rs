@@ -129,9 +129,10 @@ impl Tests {
         }
     }
 
-    /// Whether a region with this error must be refined.
-    pub fn fails(&self, error_m: f64, region: &WorldBox) -> bool {
-        error_m > 0.0 && error_m * self.threshold > region.distance_m(self.eye_m)
+    /// The two sides of the test of a region, metres: how far its error reaches, and how far away
+    /// it is. It must be refined where it reaches farther.
+    pub fn sides(&self, error_m: f64, region: &WorldBox) -> (f64, f64) {
+        (error_m * self.threshold, region.distance_m(self.eye_m))
     }
 }
 

@@ -110,13 +110,12 @@ fn open_all(folders: &[PathBuf]) -> Result<Catalog> {
 }
 
 fn open(folder: &Path) -> Result<Dataset> {
-    Dataset::open(folder).map_err(|error| {
+    Dataset::open(folder).map_err(|error| match error {
+        DatasetError::Damaged { .. } => {
+            anyhow!("{error}; restore the file, or build the dataset again")
+        }
         // The other kinds say themselves what to do.
-        let advice = match error {
-            DatasetError::Damaged { .. } => "; restore the file, or build the dataset again",
-            _ => "",
-        };
-        anyhow!("{error}{advice}")
+        _ => error.into(),
     })
 }
 

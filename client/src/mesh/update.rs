@@ -209,8 +209,7 @@ impl MeshTree {
         if error_m <= 0.0 {
             return (false, 0.0);
         }
-        let distance_m = region.distance_m(pass.tests.eye_m);
-        let reach_m = error_m * pass.tests.threshold;
+        let (reach_m, distance_m) = pass.tests.sides(error_m, region);
         let fails = reach_m > distance_m;
         pass.page.slack_m = pass.page.slack_m.min((reach_m - distance_m).abs());
         if fails {

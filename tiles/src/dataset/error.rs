@@ -32,7 +32,7 @@ pub enum DatasetError {
         why: String,
     },
     /// The system refused.
-    #[error("{}: {action}: {source}", path.display())]
+    #[error("{}: cannot {action}", path.display())]
     Io {
         /// The file.
         path: PathBuf,

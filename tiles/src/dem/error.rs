@@ -61,7 +61,7 @@ pub enum DemError {
         hint: String,
     },
     /// The operating system refused.
-    #[error("{}: cannot {doing}: {source}", path.display())]
+    #[error("{}: cannot {doing}", path.display())]
     Io {
         /// The file.
         path: PathBuf,

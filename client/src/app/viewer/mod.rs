@@ -57,10 +57,10 @@ impl Default for ViewerOptions {
 #[derive(Debug, Error)]
 pub enum ViewerError {
     /// There is no display, or it went away.
-    #[error("no window can be shown (is DISPLAY or WAYLAND_DISPLAY set?): {0}")]
+    #[error("no window can be shown (is DISPLAY or WAYLAND_DISPLAY set?)")]
     EventLoop(#[from] EventLoopError),
     /// The display refused a window.
-    #[error("the window cannot be opened: {0}")]
+    #[error("the window cannot be opened")]
     Window(#[from] OsError),
     /// Nothing can be drawn in it.
     #[error(transparent)]

@@ -257,22 +257,3 @@ fn a_chunk_that_crosses_a_cancel_is_dropped_and_one_that_crosses_a_new_want_is_t
     assert_eq!(events(&mut link), [Event::Chunk(chunk(2, 0, 5))]);
     assert_eq!(link.stats().dropped_chunks, 2);
 }
-
-/// Not asserted, as machines differ: `cargo test --release -- --ignored --nocapture cost`.
-#[test]
-#[ignore = "a measurement"]
-fn cost_of_a_frame() {
-    let mut link = small(1024);
-    let list = wants(0..5000);
-    let start = std::time::Instant::now();
-    for frame in 0..1000 {
-        let moved: Vec<Want> = list[frame % 500..].to_vec();
-        link.set_wants(&moved, ms(0));
-        said(&mut link, ms(0));
-    }
-    println!(
-        "{:?} a frame of {} wishes",
-        start.elapsed() / 1000,
-        list.len()
-    );
-}
