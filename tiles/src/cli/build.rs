@@ -1,10 +1,10 @@
 //! `escarp-tiles build`.
 
-use super::InputArgs;
 use super::progress::Progress;
+use super::source::SourceArgs;
 use crate::build::{BuildOptions, Quantum, build};
 use crate::dataset::Dataset;
-use crate::dem::{OverlapReport, open_all};
+use crate::dem::OverlapReport;
 use crate::process;
 use anyhow::{Context, Result};
 use clap::Args;
@@ -46,7 +46,7 @@ pub(super) struct BuildArgs {
     #[arg(long)]
     json: bool,
     #[command(flatten)]
-    input: InputArgs,
+    source: SourceArgs,
 }
 
 pub(super) fn run(args: &BuildArgs) -> Result<ExitCode> {
@@ -55,7 +55,7 @@ pub(super) fn run(args: &BuildArgs) -> Result<ExitCode> {
         .num_threads(usize::from(args.jobs))
         .build_global()
         .context("cannot start the threads")?;
-    let mut source = open_all(&args.inputs, &args.input.options())?;
+    let mut source = args.source.open(&args.inputs)?;
     let name = |path: &PathBuf| {
         path.file_name()
             .unwrap_or_default()

@@ -1,11 +1,14 @@
 //! The command line of `escarp-tiles`.
 
 mod build;
+mod grid;
 mod info;
+mod input;
+mod mosaic;
 mod progress;
+mod source;
 mod verify;
 
-use crate::dem::OpenOptions;
 use anyhow::Result;
 use clap::{Args, Parser, Subcommand};
 use std::path::PathBuf;
@@ -41,34 +44,6 @@ enum Command {
     Verify(verify::VerifyArgs),
     /// Write a synthetic DEM: ridges, valleys, a lake, a cliff, detail
     Sample(SampleArgs),
-}
-
-/// What the user says about inputs.
-#[derive(Debug, Clone, Args)]
-struct InputArgs {
-    /// Metres between samples, for files without georeference
-    #[arg(long, value_name = "M", allow_negative_numbers = true)]
-    spacing: Option<f64>,
-    /// Metres a stored unit stands for, for integer files (PNG: default 1)
-    #[arg(long, value_name = "M", allow_negative_numbers = true)]
-    height_step: Option<f64>,
-    /// Metres added to every height
-    #[arg(long, value_name = "M", allow_negative_numbers = true)]
-    height_offset: Option<f64>,
-    /// Stored value that means "no data"
-    #[arg(long, value_name = "VALUE", allow_negative_numbers = true)]
-    nodata: Option<f64>,
-}
-
-impl InputArgs {
-    fn options(&self) -> OpenOptions {
-        OpenOptions {
-            spacing_m: self.spacing,
-            height_step_m: self.height_step,
-            height_offset_m: self.height_offset,
-            nodata: self.nodata,
-        }
-    }
 }
 
 #[derive(Debug, Args)]

@@ -1,9 +1,8 @@
 //! `escarp-tiles verify`.
 
-use super::InputArgs;
 use super::progress::Progress;
+use super::source::SourceArgs;
 use crate::dataset::Dataset;
-use crate::dem::open_all;
 use crate::verify::{Against, Share, VerifyReport, compare, verify};
 use anyhow::Result;
 use clap::Args;
@@ -32,7 +31,7 @@ pub(super) struct VerifyArgs {
     #[arg(long)]
     json: bool,
     #[command(flatten)]
-    input: InputArgs,
+    source: SourceArgs,
 }
 
 pub(super) fn run(args: &VerifyArgs) -> Result<ExitCode> {
@@ -66,7 +65,7 @@ pub(super) fn run(args: &VerifyArgs) -> Result<ExitCode> {
 }
 
 fn against(args: &VerifyArgs, dataset: &Dataset) -> Result<Against> {
-    let mut source = open_all(&args.against, &args.input.options())?;
+    let mut source = args.source.open(&args.against)?;
     let progress = Progress::new("comparing", args.json);
     let found = compare(dataset, &mut *source, &|done, total| {
         progress.at(done, total)

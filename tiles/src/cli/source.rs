@@ -1,0 +1,28 @@
+//! From the command line to one source: what `build` stores is what `verify` compares with.
+
+use super::grid::GridArgs;
+use super::input::InputArgs;
+use super::mosaic::MosaicArgs;
+use crate::dem::DemSource;
+use anyhow::Result;
+use clap::Args;
+use std::path::PathBuf;
+
+/// Everything that decides which heights come of the inputs.
+#[derive(Debug, Clone, Args)]
+pub(super) struct SourceArgs {
+    #[command(flatten)]
+    input: InputArgs,
+    #[command(flatten)]
+    mosaic: MosaicArgs,
+    #[command(flatten)]
+    grid: GridArgs,
+}
+
+impl SourceArgs {
+    /// Opens the inputs, joins them, and brings them to the dataset's grid.
+    pub(super) fn open(&self, inputs: &[PathBuf]) -> Result<Box<dyn DemSource>> {
+        let joined = self.mosaic.join(inputs, &self.input.options())?;
+        self.grid.place(joined)
+    }
+}
