@@ -3,7 +3,7 @@
 use super::grid::GridArgs;
 use super::input::InputArgs;
 use super::mosaic::MosaicArgs;
-use crate::dem::DemSource;
+use crate::dem::{DemSource, expand};
 use anyhow::Result;
 use clap::Args;
 use std::path::PathBuf;
@@ -22,7 +22,8 @@ pub(super) struct SourceArgs {
 impl SourceArgs {
     /// Opens the inputs, joins them, and brings them to the dataset's grid.
     pub(super) fn open(&self, inputs: &[PathBuf]) -> Result<Box<dyn DemSource>> {
-        let joined = self.mosaic.join(inputs, &self.input.options())?;
+        let inputs = expand(inputs)?;
+        let joined = self.mosaic.join(&inputs, &self.input.options())?;
         self.grid.place(joined)
     }
 }
