@@ -116,6 +116,7 @@ impl Hgt {
             sample_type: SampleType::I16,
             height_step_m: rule.step_m,
             nodata: rule.nodata,
+            vertical: None,
         };
         Ok(Self { info, rule, store })
     }

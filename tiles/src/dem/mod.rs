@@ -165,6 +165,8 @@ pub struct DemInfo {
     pub height_step_m: f64,
     /// The stored value (before step and offset) that means "no height here".
     pub nodata: Option<f64>,
+    /// What heights are above, such as `EGM96 height (EPSG:5773)`; recorded, never transformed.
+    pub vertical: Option<String>,
 }
 
 /// A grid of heights that can be read by rows.

@@ -51,6 +51,7 @@ impl Png {
             sample_type,
             height_step_m: rule.step_m,
             nodata: rule.nodata,
+            vertical: None,
         };
         info.check_size()?;
         let bytes = decoded_bytes(&info);
