@@ -1,8 +1,9 @@
 //! What the user says of how to read input files.
 
-use crate::dem::{Crs, OpenOptions, RawShape, RgbCoding, crs_of_epsg, crs_of_wkt};
+use crate::crs;
+use crate::dem::{Crs, OpenOptions, RawShape, RgbCoding};
 use clap::{Args, ValueEnum};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// What the user says about inputs.
 #[derive(Debug, Clone, Args)]
@@ -27,7 +28,8 @@ pub(super) struct InputArgs {
     /// Stored value that means "no data"
     #[arg(long, value_name = "VALUE", allow_negative_numbers = true)]
     nodata: Option<f64>,
-    /// What coordinates mean, for files that do not say: EPSG:CODE, well-known text, or a .prj file
+    /// What coordinates mean, for files that do not say: EPSG:CODE, a PROJ string, WKT, or a
+    /// .prj file
     #[arg(long, value_name = "CRS", value_parser = parse_crs)]
     input_crs: Option<Crs>,
     /// Shape of files without any header: WIDTHxHEIGHT:TYPE[:le|be][:SKIP], TYPE one of u8 i8 u16
@@ -82,17 +84,11 @@ impl InputArgs {
 
 /// A code, a text, or a file that has the text.
 fn parse_crs(text: &str) -> Result<Crs, String> {
-    if let Some(code) = text.strip_prefix("EPSG:").or(text.strip_prefix("epsg:")) {
-        let code = code.parse().map_err(|_| format!("EPSG code {code:?}"))?;
-        return crs_of_epsg(code);
+    if Path::new(text).is_file() {
+        let read = std::fs::read_to_string(text);
+        return crs::from_user(&read.map_err(|e| format!("it cannot be read: {e}"))?);
     }
-    if text.contains('[') {
-        return crs_of_wkt(text);
-    }
-    let read = std::fs::read_to_string(text);
-    let file =
-        read.map_err(|e| format!("neither EPSG:CODE nor well-known text nor a file: {e}"))?;
-    crs_of_wkt(&file)
+    crs::from_user(text)
 }
 
 fn parse_tile(text: &str) -> Result<[u32; 3], String> {

@@ -84,6 +84,7 @@ impl AsciiGrid {
             None => None,
         };
         let unit_m = projection.as_ref().and_then(|p| p.height_unit_m);
+        let vertical = projection.as_ref().and_then(|p| p.vertical.clone());
         let (layout, crs) = side::settle(own, projection.map(|p| p.crs), path, options)?;
         let nodata = match keys.number("nodata_value")? {
             None => keys.number("nodata")?,
@@ -100,7 +101,7 @@ impl AsciiGrid {
             sample_type: SampleType::F64,
             height_step_m: 1.0,
             nodata: None,
-            vertical: None,
+            vertical,
         };
         info.check_size()?;
         let rows = NumberRows::index(path, (marked + at) as u64, Shape::Given(width, height))?;

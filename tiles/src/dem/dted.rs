@@ -9,6 +9,8 @@ use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 use std::path::Path;
 
+use crate::crs::vertical;
+
 use super::error::in_and_out;
 use super::heights::{self, HeightRule};
 use super::{Crs, DemError, DemInfo, DemSource, OpenOptions, Placement, Registration, SampleType};
@@ -276,8 +278,8 @@ fn metres(bytes: [u8; 2]) -> i16 {
 
 fn vertical_datum(code: &str) -> Option<String> {
     match code.trim() {
-        "MSL" => Some("mean sea level, metres".into()),
-        "E96" => Some("EGM96 geoid, metres".into()),
+        "MSL" => Some(vertical::from_code(5714)),
+        "E96" => Some(vertical::from_code(5773)),
         _ => None,
     }
 }
@@ -333,7 +335,7 @@ mod tests {
             (info.width, info.height, info.registration),
             (3, 4, Registration::Grid)
         );
-        assert_eq!(info.vertical.as_deref(), Some("EGM96 geoid, metres"));
+        assert_eq!(info.vertical.as_deref(), Some("EGM96 height (EPSG:5773)"));
         assert!(heights[1].is_nan());
         assert_eq!(
             (heights[0], heights[2], heights[9], heights[11]),

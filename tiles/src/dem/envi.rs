@@ -6,6 +6,8 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use crate::crs;
+
 use super::affine::{self, Layout};
 use super::error::in_and_out;
 use super::heights::HeightRule;
@@ -108,7 +110,7 @@ impl<'a> Header<'a> {
             DemError::unsupported(self.path, why, hint)
         };
         if let Some(wkt) = self.values.get("coordinate system string") {
-            return prj::crs_of_wkt(wkt).map(Some).map_err(unsupported);
+            return crs::wkt::from_wkt(wkt).map(Some).map_err(unsupported);
         }
         let Some(info) = self.values.get("map info") else {
             return Ok(None);
@@ -126,10 +128,7 @@ impl<'a> Header<'a> {
                 .and_then(|zone| prj::utm_code("WGS84", zone.parse().ok()?, south)),
             _ => None,
         };
-        let code = code
-            .map(prj::crs_of_epsg)
-            .transpose()
-            .map_err(unsupported)?;
+        let code = code.map(crs::from_epsg).transpose().map_err(unsupported)?;
         Ok(code)
     }
 }
@@ -185,6 +184,7 @@ pub(super) fn open(header: &Path, data: &Path, options: &OpenOptions) -> Result<
         crs,
         registration: Registration::Cell,
         rule,
+        vertical: None,
     };
     RawGrid::new(data, Rows::packed(shape), stated, options)
 }

@@ -242,6 +242,7 @@ fn stated(
         None => None,
     };
     let unit_m = projection.as_ref().and_then(|p| p.height_unit_m);
+    let vertical = projection.as_ref().and_then(|p| p.vertical.clone());
     let (layout, crs) = side::settle(layout, projection.map(|p| p.crs), data, options)?;
     let nodata = match keys.number("nodata")? {
         None => keys.number("nodata_value")?,
@@ -258,6 +259,7 @@ fn stated(
         crs,
         registration,
         rule,
+        vertical,
     })
 }
 

@@ -69,7 +69,7 @@ impl GeoTiff {
             sample_type,
             height_step_m: rule.step_m,
             nodata: rule.nodata,
-            vertical: None,
+            vertical: keys.vertical(),
         };
         info.check_size()?;
         let chunks = Chunks::new(tiff, file, sample_type.bytes(), path)?;

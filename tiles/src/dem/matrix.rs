@@ -4,18 +4,18 @@
 
 use std::path::Path;
 
+use crate::crs;
+
 use super::affine::{self, Layout};
 use super::heights::{self, HeightRule};
 use super::number_rows::{NumberRows, Shape, as_stored};
-use super::{
-    DemError, DemInfo, DemSource, OpenOptions, Registration, SampleType, prj, side, unpack,
-};
+use super::{DemError, DemInfo, DemSource, OpenOptions, Registration, SampleType, side, unpack};
 
 /// How far a coordinate may be off even spacing, in cells.
 const MAX_UNEVEN: f64 = 0.01;
 
 /// EPSG code of the longitudes and latitudes, if the user says nothing else.
-const WGS84: u32 = 4326;
+const WGS84: u16 = 4326;
 
 /// One open matrix.
 pub(super) struct Matrix {
@@ -39,7 +39,7 @@ impl Matrix {
                 let (x, dx) = spaced(lons, size[0], "columns", path)?;
                 let (y, dy) = spaced(lats, size[1], "rows", path)?;
                 let layout = affine::of_first_sample([dx, 0.0, x, 0.0, dy, y], size[1], path)?;
-                let wgs84 = || prj::crs_of_epsg(WGS84);
+                let wgs84 = || crs::from_epsg(WGS84);
                 let crs = options.crs.clone().map_or_else(wgs84, Ok);
                 let crs = crs.map_err(|why| DemError::unsupported(path, why, "name another"))?;
                 (layout, crs)

@@ -56,7 +56,6 @@ pub use error::DemError;
 pub use folder::expand;
 pub use mosaic::{Mosaic, OverlapReport};
 pub use open::{open, open_all};
-pub use prj::{crs_of_epsg, crs_of_wkt};
 pub use raw::RawShape;
 pub use rgb::RgbCoding;
 pub use write::write_geotiff;
@@ -192,7 +191,7 @@ pub struct DemInfo {
     pub height_step_m: f64,
     /// The stored value (before step and offset) that means "no height here".
     pub nodata: Option<f64>,
-    /// What heights are measured from, where the file says it, such as `EGM96 geoid, metres`.
+    /// What heights are above, such as `EGM96 height (EPSG:5773)`; recorded, never transformed.
     pub vertical: Option<String>,
 }
 

@@ -112,6 +112,7 @@ pub(super) struct Stated {
     pub crs: Crs,
     pub registration: Registration,
     pub rule: HeightRule,
+    pub vertical: Option<String>,
 }
 
 /// One open file of samples.
@@ -155,6 +156,7 @@ impl RawGrid {
             crs,
             registration: Registration::Grid,
             rule: HeightRule::METRES,
+            vertical: None,
         };
         Self::new(path, rows, stated, options)
     }
@@ -182,7 +184,7 @@ impl RawGrid {
             sample_type: shape.sample_type,
             height_step_m: rule.step_m,
             nodata: rule.nodata,
-            vertical: None,
+            vertical: stated.vertical,
         };
         info.check_size()?;
         let found = length_of(path)?;

@@ -7,6 +7,8 @@
 
 use std::path::Path;
 
+use crate::crs::vertical;
+
 use super::error::in_and_out;
 use super::heights::{self, HeightRule};
 use super::{
@@ -205,7 +207,9 @@ impl RecordA {
             let name = format!("EPSG:{geographic}");
             return Ok(Crs::Geographic { name, radius_m });
         }
-        let code = prj::utm_code(datum, self.zone.unsigned_abs(), self.zone < 0)
+        let code = u16::try_from(self.zone.unsigned_abs())
+            .ok()
+            .and_then(|zone| prj::utm_code(datum, zone, self.zone < 0))
             .ok_or_else(|| unknown(path, &format!("UTM zone {} on {datum}", self.zone)))?;
         Ok(Crs::Projected {
             name: format!("EPSG:{code}"),
@@ -230,9 +234,9 @@ fn unknown(path: &Path, what: &str) -> DemError {
 
 fn vertical_datum(code: u32) -> Option<String> {
     match code {
-        1 => Some("mean sea level, metres".into()),
-        2 => Some("NGVD29, metres".into()),
-        3 => Some("NAVD88, metres".into()),
+        1 => Some(vertical::from_code(5714)),
+        2 => vertical::from_text("NGVD29 height"),
+        3 => Some(vertical::from_code(5703)),
         _ => None,
     }
 }

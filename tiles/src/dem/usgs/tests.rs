@@ -69,7 +69,7 @@ fn profiles_of_any_length_and_start_stand_at_their_place() {
         (300.0, 690.0, 30.0, 30.0)
     );
     assert!(matches!(info.crs, Crs::Projected { ref name, .. } if name == "EPSG:26710"));
-    assert_eq!(info.vertical.as_deref(), Some("NGVD29, metres"));
+    assert_eq!(info.vertical.as_deref(), Some("NGVD29 height"));
     let hole = f64::NAN;
     let expected = [
         hole, 23.0, hole, 11.0, hole, hole, 10.0, hole, -31.0, hole, 20.0, hole,
