@@ -97,6 +97,7 @@ pub(super) fn run(args: &BuildArgs) -> Result<ExitCode> {
             "cpu_s": usage.map(|u| u.cpu_s), "peak_memory_bytes": usage.map(|u| u.peak_memory_bytes),
             "overlaps": overlaps.map(|o| json!({
                 "overlapping": o.overlapping, "differing": o.differing, "largest_m": o.largest_m,
+                "largest_at": o.largest_at,
             })),
         });
         println!("{summary:#}");
@@ -148,8 +149,11 @@ fn print_overlaps(overlaps: &OverlapReport) {
         overlapping,
         differing,
         largest_m,
+        largest_at,
     } = overlaps;
-    println!(
-        "inputs overlap at {overlapping} samples and differ at {differing}, by at most {largest_m} m"
-    );
+    print!("inputs overlap at {overlapping} samples and differ at {differing}");
+    match largest_at {
+        Some([x, y]) => println!(", by at most {largest_m} m, at {x} east, {y} north"),
+        None => println!(),
+    }
 }

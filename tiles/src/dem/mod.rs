@@ -30,11 +30,12 @@ mod png;
 mod testing;
 mod write;
 
+use std::ops::Range;
 use std::path::PathBuf;
 
 pub use error::DemError;
-pub use mosaic::{Mosaic, OverlapReport};
-pub use open::{open, open_all};
+pub use mosaic::{JoinOptions, MAX_SEAM_SAMPLES, Mosaic, OverlapReport, Priority, Seam};
+pub use open::{join_all, open, open_all};
 pub use write::write_geotiff;
 
 /// The most samples on one side of an input or a mosaic (the whole Earth at 0.3 arc seconds).
@@ -185,6 +186,13 @@ pub trait DemSource: Send {
     /// there is only one input.
     fn overlaps(&self) -> Option<OverlapReport> {
         None
+    }
+
+    /// Columns outside of which rows `first_row..first_row + rows` are known to be holes, without
+    /// reading them: ascending, apart from each other. None at all if there is no data in them.
+    fn data_columns(&self, first_row: u32, rows: u32) -> Vec<Range<u32>> {
+        let _ = (first_row, rows);
+        std::iter::once(0..self.info().width).collect()
     }
 }
 

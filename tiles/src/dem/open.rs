@@ -8,7 +8,7 @@ use super::geotiff::GeoTiff;
 use super::hgt::{self, Hgt};
 use super::mosaic::Mosaic;
 use super::png::Png;
-use super::{DemError, DemSource, OpenOptions, Placement};
+use super::{DemError, DemSource, JoinOptions, OpenOptions, Placement};
 
 /// Opens one DEM. Only its header is read; samples are decoded when rows are asked for.
 ///
@@ -38,9 +38,21 @@ pub fn open(path: &Path, options: &OpenOptions) -> Result<Box<dyn DemSource>, De
 /// # Errors
 /// Those of [`open`], and [`DemError::Usage`] for inputs that do not fit together.
 pub fn open_all(paths: &[PathBuf], options: &OpenOptions) -> Result<Box<dyn DemSource>, DemError> {
+    join_all(paths, options, JoinOptions::default())
+}
+
+/// As [`open_all`], with a say in how inputs are joined.
+///
+/// # Errors
+/// As [`open_all`].
+pub fn join_all(
+    paths: &[PathBuf],
+    options: &OpenOptions,
+    join: JoinOptions,
+) -> Result<Box<dyn DemSource>, DemError> {
     match paths {
         [one] => open(one, options),
-        _ => Ok(Box::new(Mosaic::open(paths, options)?)),
+        _ => Ok(Box::new(Mosaic::open(paths, options, join)?)),
     }
 }
 
