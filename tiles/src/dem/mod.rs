@@ -19,6 +19,7 @@
 mod affine;
 mod chunks;
 mod error;
+mod fill;
 mod geokeys;
 mod geotiff;
 mod heights;
@@ -34,6 +35,7 @@ use std::ops::Range;
 use std::path::PathBuf;
 
 pub use error::DemError;
+pub use fill::{DEFAULT_FILL_SAMPLES, Filled, FilledRun, Fills, MAX_FILL_SAMPLES};
 pub use mosaic::{JoinOptions, MAX_SEAM_SAMPLES, Mosaic, OverlapReport, Priority, Seam};
 pub use open::{join_all, open, open_all};
 pub use write::write_geotiff;
@@ -193,6 +195,11 @@ pub trait DemSource: Send {
     fn data_columns(&self, first_row: u32, rows: u32) -> Vec<Range<u32>> {
         let _ = (first_row, rows);
         std::iter::once(0..self.info().width).collect()
+    }
+
+    /// Which samples are no data but fill; `None` where nothing was asked to be filled.
+    fn fills(&self) -> Option<&Fills> {
+        None
     }
 }
 
