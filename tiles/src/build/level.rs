@@ -1,5 +1,6 @@
 //! All pages of one level, band by band.
 
+use super::checkpoint::{Checkpoints, Done};
 use super::quantise::HOLE;
 use super::rows::Rows;
 use super::{BuildError, Progress};
@@ -34,7 +35,7 @@ impl Slots {
         }
     }
 
-    fn set(&mut self, column: usize, row: usize, slot: ChildSlot) {
+    pub(super) fn set(&mut self, column: usize, row: usize, slot: ChildSlot) {
         let at = row * self.columns + column;
         self.kinds[at] = slot.kind();
         match slot {
@@ -47,7 +48,7 @@ impl Slots {
     }
 
     /// Beyond the data there is nothing.
-    fn get(&self, column: usize, row: usize) -> ChildSlot {
+    pub(super) fn get(&self, column: usize, row: usize) -> ChildSlot {
         let at = row * self.columns + column;
         if column >= self.columns || at >= self.kinds.len() {
             return ChildSlot::Empty;
@@ -66,10 +67,10 @@ impl Slots {
 /// What a level leaves for the one above: a sample a page corner, a slot a page.
 #[derive(Debug)]
 pub(super) struct Above {
-    width: usize,
-    height: usize,
-    heights: Vec<i32>,
-    slots: Slots,
+    pub(super) width: usize,
+    pub(super) height: usize,
+    pub(super) heights: Vec<i32>,
+    pub(super) slots: Slots,
 }
 
 /// Rows of the samples that a level below left.
@@ -97,6 +98,7 @@ impl Rows for MemoryRows {
 }
 
 /// The pages of one level that the data reaches.
+#[derive(Debug, Clone, Copy)]
 pub(super) struct Level {
     grid: GridLevels,
     level: u8,
@@ -179,15 +181,36 @@ impl Level {
         }
     }
 
-    /// The level whose samples this one left; `None` above the root.
-    pub(super) fn above(&self, left: &Above) -> Option<Level> {
+    /// The level whose samples this one leaves; `None` above the root.
+    pub(super) fn above(&self) -> Option<Level> {
         let level = self.level.checked_sub(PAGE_LEVELS)?;
-        Some(Level::new(
-            self.grid,
-            level,
-            left.width as u32,
-            left.height as u32,
-        ))
+        let (width, height) = (self.columns as u32 + 1, self.rows as u32 + 1);
+        Some(Level::new(self.grid, level, width, height))
+    }
+
+    /// Level of its pages.
+    pub(super) const fn level(&self) -> u8 {
+        self.level
+    }
+
+    /// Bands of families.
+    pub(super) const fn bands(&self) -> usize {
+        self.rows.div_ceil(PAGE_CELLS)
+    }
+
+    /// Samples of a band.
+    pub(super) const fn band_samples(&self) -> u64 {
+        self.width as u64 * FAMILY_CELLS as u64
+    }
+
+    /// What the level leaves, before any band is done.
+    pub(super) fn new_above(&self) -> Above {
+        Above {
+            width: self.columns + 1,
+            height: self.rows + 1,
+            heights: vec![HOLE; (self.columns + 1) * (self.rows + 1)],
+            slots: Slots::new(self.columns, self.rows),
+        }
     }
 
     /// Makes and writes all pages.
@@ -195,21 +218,26 @@ impl Level {
         &self,
         rows: &mut dyn Rows,
         writer: &mut DatasetWriter,
+        checkpoints: &mut Checkpoints,
         progress: Progress<'_>,
     ) -> Result<Above, BuildError> {
-        let mut above = Above {
-            width: self.columns + 1,
-            height: self.rows + 1,
-            heights: vec![HOLE; (self.columns + 1) * (self.rows + 1)],
-            slots: Slots::new(self.columns, self.rows),
-        };
+        let done = checkpoints.take(self.level).unwrap_or_else(|| Done {
+            above: self.new_above(),
+            bands_left: self.bands(),
+        });
+        let (mut above, bands_left) = (done.above, done.bands_left);
         let families = self.columns.div_ceil(PAGE_CELLS);
         let mut band = Band {
             stride: families * FAMILY_CELLS + 1,
             samples: Vec::new(),
         };
         band.samples = vec![HOLE; band.stride * (FAMILY_CELLS + 1)];
-        for number in (0..self.rows.div_ceil(PAGE_CELLS)).rev() {
+        if bands_left < self.bands() {
+            let northern = bands_left * FAMILY_CELLS;
+            rows.read(northern as u32, 1, &mut band.samples[..self.width])?;
+            rows.resume(checkpoints.stored());
+        }
+        for number in (0..bands_left).rev() {
             self.fill(&mut band, number, rows)?;
             let slots = rows.slots();
             let made = (0..families)
@@ -225,6 +253,7 @@ impl Level {
                 }
             }
             self.keep_corners(&band, number, &mut above);
+            checkpoints.band(self, number, &above, rows.stored(), writer)?;
             let done = self.height.saturating_sub(number * FAMILY_CELLS);
             progress(done as u64, self.height as u64);
         }

@@ -13,6 +13,14 @@ pub(super) trait Rows {
     /// southern row first; all of them lie within the data.
     fn read(&mut self, first: u32, n: u32, out: &mut [i32]) -> Result<(), BuildError>;
 
+    /// What was stored of the rows read so far, where that is counted.
+    fn stored(&self) -> Option<Stored> {
+        None
+    }
+
+    /// Goes on counting from what was stored before.
+    fn resume(&mut self, _stored: Stored) {}
+
     /// What hangs below each cell; nothing does below the finest.
     fn slots(&self) -> Option<&Slots> {
         None
@@ -29,7 +37,7 @@ pub(super) struct Stored {
 }
 
 impl Stored {
-    const NOTHING: Stored = Stored {
+    pub(super) const NOTHING: Stored = Stored {
         valid_samples: 0,
         range: None,
         largest_error_m: 0.0,
@@ -66,10 +74,6 @@ impl<'a> SourceRows<'a> {
         }
     }
 
-    pub(super) fn summary(&self) -> Stored {
-        self.stored
-    }
-
     /// The first sample that does not fit, for an error.
     fn misfit(&self, first: u32, width: usize) -> BuildError {
         let limit = f64::from(MAX_HEIGHT) * self.quantum_m;
@@ -88,6 +92,14 @@ impl<'a> SourceRows<'a> {
 }
 
 impl Rows for SourceRows<'_> {
+    fn stored(&self) -> Option<Stored> {
+        Some(self.stored)
+    }
+
+    fn resume(&mut self, stored: Stored) {
+        self.stored = stored;
+    }
+
     fn read(&mut self, first: u32, n: u32, out: &mut [i32]) -> Result<(), BuildError> {
         let (width, height) = (self.source.info().width as usize, self.source.info().height);
         // Row 0 of a source is the northern one.
