@@ -11,7 +11,10 @@ mod level;
 mod quantise;
 mod rows;
 
+pub(crate) use level::{Band, FAMILY_CELLS, Level, Slots};
+pub(crate) use quantise::HOLE;
 pub use quantise::{Quantum, choose_quantum};
+pub(crate) use rows::{Rows, SourceRows};
 
 use crate::dataset::{DatasetError, DatasetWriter};
 use crate::dem::{DemError, DemSource};
@@ -20,8 +23,7 @@ use checkpoint::Checkpoints;
 use escarp_proto::geometry::GridLevels;
 use escarp_proto::manifest::{FORMAT, FileCheck, Manifest, VERSION};
 use escarp_proto::page::PageError;
-use level::{Level, MemoryRows};
-use rows::SourceRows;
+use level::MemoryRows;
 use std::path::{Path, PathBuf};
 use thiserror::Error;
 

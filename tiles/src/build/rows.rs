@@ -8,7 +8,7 @@ use escarp_proto::page::MAX_HEIGHT;
 use rayon::prelude::*;
 
 /// Heights of grid rows, northern row first.
-pub(super) trait Rows {
+pub(crate) trait Rows {
     /// Fills rows `first..first + n` (grid rows, from the south) with heights or [`HOLE`],
     /// southern row first; all of them lie within the data.
     fn read(&mut self, first: u32, n: u32, out: &mut [i32]) -> Result<(), BuildError>;
@@ -29,11 +29,11 @@ pub(super) trait Rows {
 
 /// What was stored of a source.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Stored {
-    pub(super) valid_samples: u64,
-    pub(super) range: Option<[i32; 2]>,
+pub(crate) struct Stored {
+    pub(crate) valid_samples: u64,
+    pub(crate) range: Option<[i32; 2]>,
     /// Rounded up.
-    pub(super) largest_error_m: f64,
+    pub(crate) largest_error_m: f64,
 }
 
 impl Stored {
@@ -57,7 +57,7 @@ impl Stored {
 }
 
 /// A source's rows, in quanta.
-pub(super) struct SourceRows<'a> {
+pub(crate) struct SourceRows<'a> {
     source: &'a mut dyn DemSource,
     quantum_m: f64,
     band: Vec<f64>,
@@ -65,7 +65,7 @@ pub(super) struct SourceRows<'a> {
 }
 
 impl<'a> SourceRows<'a> {
-    pub(super) fn new(source: &'a mut dyn DemSource, quantum_m: f64) -> Self {
+    pub(crate) fn new(source: &'a mut dyn DemSource, quantum_m: f64) -> Self {
         SourceRows {
             source,
             quantum_m,

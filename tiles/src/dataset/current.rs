@@ -108,6 +108,21 @@ impl Current {
         Ok(json)
     }
 
+    /// Path and bytes of the manifest of a generation that is published no more.
+    pub(super) fn read_old_manifest(
+        folder: &Path,
+        generation: u64,
+    ) -> Result<(PathBuf, Vec<u8>), DatasetError> {
+        let path = folder.join(format!("manifest-{generation}.json"));
+        let found = fs::metadata(&path).map_err(DatasetError::io(&path, "read length"))?;
+        if !found.is_file() || found.len() > MAX_MANIFEST_BYTES as u64 {
+            let why = format!("no file of at most {MAX_MANIFEST_BYTES} bytes");
+            return Err(DatasetError::damaged(&path, why));
+        }
+        let json = fs::read(&path).map_err(DatasetError::io(&path, "read"))?;
+        Ok((path, json))
+    }
+
     /// Publishes: replaces `CURRENT` and syncs the folder. All that it names must be synced before.
     pub(super) fn publish(&self, folder: &Path) -> Result<(), DatasetError> {
         let path = current_path(folder);

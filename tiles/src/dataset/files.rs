@@ -48,6 +48,27 @@ pub fn unfinished(folder: &Path) -> Result<Option<Unfinished>, DatasetError> {
     Ok(found)
 }
 
+/// Bytes of all files of a dataset, those of old generations and leftovers included.
+///
+/// # Errors
+/// [`DatasetError::Io`] if the folder cannot be listed.
+pub fn disk_bytes(folder: &Path) -> Result<u64, DatasetError> {
+    let length = |name: &String| fs::metadata(folder.join(name)).map_or(0, |data| data.len());
+    Ok(names(folder)?.iter().map(length).sum())
+}
+
+/// Generations of which there is a manifest, ascending.
+///
+/// # Errors
+/// [`DatasetError::Io`] if the folder cannot be listed.
+pub fn generations(folder: &Path) -> Result<Vec<u64>, DatasetError> {
+    let names = names(folder)?;
+    let manifests = names.iter().filter(|name| name.starts_with("manifest-"));
+    let mut found: Vec<u64> = manifests.filter_map(|name| generation_of(name)).collect();
+    found.sort_unstable();
+    Ok(found)
+}
+
 /// The published generation; 0 if none is.
 pub(super) fn published(folder: &Path) -> Result<u64, DatasetError> {
     match Current::read(folder) {

@@ -42,6 +42,22 @@ impl FamilyBytes {
             pages: records.len(),
         })
     }
+
+    /// A family of a dataset as it is, each record checked; and how many there are.
+    pub(crate) fn copy(
+        dataset: &Dataset,
+        entry: &IndexEntry,
+    ) -> Result<(FamilyBytes, usize), DatasetError> {
+        let table = dataset.family(entry)?;
+        table.records().try_for_each(|record| record.map(|_| ()))?;
+        let family = FamilyBytes {
+            family: entry.family,
+            bytes: dataset.family_bytes(entry).to_vec(),
+            table_crc32c: entry.table_crc32c,
+            pages: table.len(),
+        };
+        Ok((family, table.len()))
+    }
 }
 
 /// Writes a new generation of a dataset beside the published one.
@@ -343,17 +359,28 @@ impl DatasetWriter {
             .map_err(DatasetError::io(&path, "write"))
     }
 
-    /// Publishes, and removes all generations before.
+    /// Publishes, and removes what only generations before need.
     ///
     /// # Errors
     /// As [`publish_beside`](Self::publish_beside).
-    pub fn publish(self, manifest: Manifest) -> Result<Manifest, DatasetError> {
-        let (folder, own) = (self.folder.clone(), self.generation);
-        let manifest = self.publish_beside(manifest)?;
-        remove_files(&folder, |name, generation| {
-            generation != own || name.starts_with("resume-")
-        })?;
+    pub fn publish(mut self, manifest: Manifest) -> Result<Manifest, DatasetError> {
+        let manifest = self.publish_now(manifest)?;
+        self.remove_unnamed(&manifest)?;
         Ok(manifest)
+    }
+
+    /// Removes all files that a published manifest does not name. Gives its generation.
+    pub(crate) fn remove_unnamed(&self, manifest: &Manifest) -> Result<u64, DatasetError> {
+        let own = manifest.generation;
+        let named: HashSet<&str> = manifest.segments.iter().map(|s| s.file.as_str()).collect();
+        remove_files(&self.folder, |name, generation| {
+            let is_kept = match name.starts_with("seg-") {
+                true => named.contains(name),
+                false => generation == own && !name.starts_with("resume-"),
+            };
+            !is_kept
+        })?;
+        Ok(own)
     }
 
     /// Publishes; the generations before stay on disk. The writer fills in generation, pages,
@@ -362,10 +389,11 @@ impl DatasetWriter {
     /// # Errors
     /// [`DatasetError::Usage`] if there are more segments than a manifest can name;
     /// [`DatasetError::Io`] if the system refuses. What was published before then stays.
-    pub(crate) fn publish_beside(
-        mut self,
-        mut manifest: Manifest,
-    ) -> Result<Manifest, DatasetError> {
+    pub(crate) fn publish_beside(mut self, manifest: Manifest) -> Result<Manifest, DatasetError> {
+        self.publish_now(manifest)
+    }
+
+    fn publish_now(&mut self, mut manifest: Manifest) -> Result<Manifest, DatasetError> {
         self.close_segment()?;
         self.drop_unused();
         manifest.generation = self.generation;
