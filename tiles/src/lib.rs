@@ -14,6 +14,8 @@ pub mod build;
 
 pub mod dataset;
 
+pub mod update;
+
 pub mod verify;
 
 mod checksum;

@@ -1,5 +1,6 @@
 //! All pages of one level, band by band.
 
+use super::checkpoint::{Checkpoints, Done};
 use super::quantise::HOLE;
 use super::rows::Rows;
 use super::{BuildError, Progress};
@@ -8,16 +9,18 @@ use escarp_proto::err8::Err8;
 use escarp_proto::geometry::{
     GridLevels, PAGE_CELLS, PAGE_LEVELS, PAGE_SAMPLES, PAGE_SLOTS, PageId, Slot,
 };
-use escarp_proto::page::{ChildSlot, Kind, PAGE_AREA, Page, Range, Record};
+use escarp_proto::page::{ChildSlot, Kind, PAGE_AREA, Page, PageError, Range, Record};
 use rayon::prelude::*;
 use std::collections::HashMap;
 
 /// Cells on the side of a family.
-const FAMILY_CELLS: usize = PAGE_CELLS * PAGE_CELLS;
+pub(crate) const FAMILY_CELLS: usize = PAGE_CELLS * PAGE_CELLS;
 
 /// Child slots of a whole level, in little memory: one a page of the level below.
 #[derive(Debug)]
-pub(super) struct Slots {
+pub(crate) struct Slots {
+    /// The first column and row.
+    first: (usize, usize),
     columns: usize,
     kinds: Vec<Kind>,
     errors: Vec<Err8>,
@@ -26,7 +29,13 @@ pub(super) struct Slots {
 
 impl Slots {
     fn new(columns: usize, rows: usize) -> Slots {
+        Self::window((0, 0), columns, rows)
+    }
+
+    /// Of a part of a level.
+    pub(crate) fn window(first: (usize, usize), columns: usize, rows: usize) -> Slots {
         Slots {
+            first,
             columns,
             kinds: vec![Kind::Empty; columns * rows],
             errors: vec![Err8(0); columns * rows],
@@ -34,8 +43,8 @@ impl Slots {
         }
     }
 
-    fn set(&mut self, column: usize, row: usize, slot: ChildSlot) {
-        let at = row * self.columns + column;
+    pub(crate) fn set(&mut self, column: usize, row: usize, slot: ChildSlot) {
+        let at = (row - self.first.1) * self.columns + column - self.first.0;
         self.kinds[at] = slot.kind();
         match slot {
             ChildSlot::Full(error) => self.errors[at] = error,
@@ -47,7 +56,8 @@ impl Slots {
     }
 
     /// Beyond the data there is nothing.
-    fn get(&self, column: usize, row: usize) -> ChildSlot {
+    pub(crate) fn get(&self, column: usize, row: usize) -> ChildSlot {
+        let (column, row) = (column - self.first.0, row - self.first.1);
         let at = row * self.columns + column;
         if column >= self.columns || at >= self.kinds.len() {
             return ChildSlot::Empty;
@@ -66,10 +76,10 @@ impl Slots {
 /// What a level leaves for the one above: a sample a page corner, a slot a page.
 #[derive(Debug)]
 pub(super) struct Above {
-    width: usize,
-    height: usize,
-    heights: Vec<i32>,
-    slots: Slots,
+    pub(super) width: usize,
+    pub(super) height: usize,
+    pub(super) heights: Vec<i32>,
+    pub(super) slots: Slots,
 }
 
 /// Rows of the samples that a level below left.
@@ -97,7 +107,8 @@ impl Rows for MemoryRows {
 }
 
 /// The pages of one level that the data reaches.
-pub(super) struct Level {
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Level {
     grid: GridLevels,
     level: u8,
     /// Samples at this level's spacing.
@@ -108,14 +119,17 @@ pub(super) struct Level {
     rows: usize,
 }
 
-/// 257 rows of samples, southern row first, as wide as whole families.
-struct Band {
-    stride: usize,
-    samples: Vec<i32>,
+/// 257 rows of samples, southern row first, as wide as whole families; or a part of them.
+pub(crate) struct Band {
+    /// Its first column.
+    pub(crate) west: usize,
+    pub(crate) stride: usize,
+    pub(crate) samples: Vec<i32>,
 }
 
 impl Band {
     fn sample(&self, x: usize, y: usize) -> Option<i32> {
+        let x = x.checked_sub(self.west)?;
         let height = *self.samples.get(y * self.stride + x)?;
         (x < self.stride && height != HOLE).then_some(height)
     }
@@ -154,10 +168,11 @@ impl Band {
     }
 
     /// The slot of a page without any valid triangle: nothing is lost, so a page that holds
-    /// samples which are on no triangle of any page is stored for their sake.
-    fn lone_samples(&self, x: usize, y: usize) -> ChildSlot {
-        let lone = (0..PAGE_SLOTS)
-            .map(|i| (x + i % PAGE_CELLS, y + i / PAGE_CELLS))
+    /// samples which are on no triangle of any page is stored for their sake. Of samples that
+    /// pages share, the page to the north-east counts, if there is one.
+    fn lone_samples(&self, (x, y): (usize, usize), (columns, rows): (usize, usize)) -> ChildSlot {
+        let lone = (0..columns * rows)
+            .map(|i| (x + i % columns, y + i / columns))
             .filter(|&(x, y)| self.sample(x, y).is_some() && !self.is_on_surface(x, y))
             .filter_map(|(x, y)| self.sample(x, y))
             .fold(Range::EMPTY, Range::with);
@@ -176,7 +191,7 @@ struct Family {
 }
 
 impl Level {
-    pub(super) fn new(grid: GridLevels, level: u8, width: u32, height: u32) -> Level {
+    pub(crate) fn new(grid: GridLevels, level: u8, width: u32, height: u32) -> Level {
         let pages = |samples: u32| (samples as usize - 1).div_ceil(PAGE_CELLS).max(1);
         Level {
             grid,
@@ -188,15 +203,41 @@ impl Level {
         }
     }
 
-    /// The level whose samples this one left; `None` above the root.
-    pub(super) fn above(&self, left: &Above) -> Option<Level> {
+    /// The level whose samples this one leaves; `None` above the root.
+    pub(crate) fn above(&self) -> Option<Level> {
         let level = self.level.checked_sub(PAGE_LEVELS)?;
-        Some(Level::new(
-            self.grid,
-            level,
-            left.width as u32,
-            left.height as u32,
-        ))
+        let (width, height) = (self.columns as u32 + 1, self.rows as u32 + 1);
+        Some(Level::new(self.grid, level, width, height))
+    }
+
+    /// Level of its pages.
+    pub(crate) const fn level(&self) -> u8 {
+        self.level
+    }
+
+    /// Bands of families.
+    pub(crate) const fn bands(&self) -> usize {
+        self.rows.div_ceil(PAGE_CELLS)
+    }
+
+    /// Columns and rows of pages.
+    pub(crate) const fn pages(&self) -> (usize, usize) {
+        (self.columns, self.rows)
+    }
+
+    /// Samples of a band.
+    pub(super) const fn band_samples(&self) -> u64 {
+        self.width as u64 * FAMILY_CELLS as u64
+    }
+
+    /// What the level leaves, before any band is done.
+    pub(super) fn new_above(&self) -> Above {
+        Above {
+            width: self.columns + 1,
+            height: self.rows + 1,
+            heights: vec![HOLE; (self.columns + 1) * (self.rows + 1)],
+            slots: Slots::new(self.columns, self.rows),
+        }
     }
 
     /// Makes and writes all pages.
@@ -204,21 +245,27 @@ impl Level {
         &self,
         rows: &mut dyn Rows,
         writer: &mut DatasetWriter,
+        checkpoints: &mut Checkpoints,
         progress: Progress<'_>,
     ) -> Result<Above, BuildError> {
-        let mut above = Above {
-            width: self.columns + 1,
-            height: self.rows + 1,
-            heights: vec![HOLE; (self.columns + 1) * (self.rows + 1)],
-            slots: Slots::new(self.columns, self.rows),
-        };
+        let done = checkpoints.take(self.level).unwrap_or_else(|| Done {
+            above: self.new_above(),
+            bands_left: self.bands(),
+        });
+        let (mut above, bands_left) = (done.above, done.bands_left);
         let families = self.columns.div_ceil(PAGE_CELLS);
         let mut band = Band {
+            west: 0,
             stride: families * FAMILY_CELLS + 1,
             samples: Vec::new(),
         };
         band.samples = vec![HOLE; band.stride * (FAMILY_CELLS + 1)];
-        for number in (0..self.rows.div_ceil(PAGE_CELLS)).rev() {
+        if bands_left < self.bands() {
+            let northern = bands_left * FAMILY_CELLS;
+            rows.read(northern as u32, 1, &mut band.samples[..self.width])?;
+            rows.resume(checkpoints.stored());
+        }
+        for number in (0..bands_left).rev() {
             self.fill(&mut band, number, rows)?;
             let slots = rows.slots();
             let made = (0..families)
@@ -234,6 +281,7 @@ impl Level {
                 }
             }
             self.keep_corners(&band, number, &mut above);
+            checkpoints.band(self, number, &above, rows.stored(), writer)?;
             let done = self.height.saturating_sub(number * FAMILY_CELLS);
             progress(done as u64, self.height as u64);
         }
@@ -292,10 +340,8 @@ impl Level {
                 continue;
             };
             id = FamilyId::of(page);
-            let (made, own) = self.page(band, page, dy, slots)?;
-            if own.has_record() || page == PageId::ROOT {
-                records.push((slot, Record::encode(&made).bytes().to_vec()));
-            }
+            let (record, own) = self.record(band, page, dy, slots)?;
+            records.extend(record.map(|record| (slot, record)));
             left.push((x, y, own));
         }
         Ok(Family {
@@ -304,17 +350,31 @@ impl Level {
         })
     }
 
+    /// A page's record, if one is stored, and what the level above has to know of the page.
+    pub(crate) fn record(
+        &self,
+        band: &Band,
+        page: PageId,
+        band_row: usize,
+        slots: Option<&Slots>,
+    ) -> Result<(Option<Vec<u8>>, ChildSlot), PageError> {
+        let (made, own) = self.page(band, page, band_row, slots)?;
+        let is_stored = own.has_record() || page == PageId::ROOT;
+        let record = is_stored.then(|| Record::encode(&made).bytes().to_vec());
+        Ok((record, own))
+    }
+
     fn page(
         &self,
         band: &Band,
         page: PageId,
         band_row: usize,
         slots: Option<&Slots>,
-    ) -> Result<(Page, ChildSlot), BuildError> {
+    ) -> Result<(Page, ChildSlot), PageError> {
         let (x, y) = (page.square().x as usize * PAGE_CELLS, band_row * PAGE_CELLS);
         let mut samples = [None; PAGE_AREA];
         for (row, samples) in samples.chunks_exact_mut(PAGE_SAMPLES).enumerate() {
-            let from = &band.samples[(y + row) * band.stride + x..][..PAGE_SAMPLES];
+            let from = &band.samples[(y + row) * band.stride + x - band.west..][..PAGE_SAMPLES];
             for (sample, &height) in samples.iter_mut().zip(from) {
                 *sample = (height != HOLE).then_some(height);
             }
@@ -329,7 +389,12 @@ impl Level {
         let finest = slots.is_none();
         let (page, bounds) = Page::with_bounds(page, &samples, slots)?;
         let own = match bounds.slot() {
-            ChildSlot::Empty if finest => band.lone_samples(x, y),
+            ChildSlot::Empty if finest => {
+                let is_last = |at: u32, count: usize| usize::from(at as usize + 1 == count);
+                let columns = PAGE_CELLS + is_last(page.id().square().x, self.columns);
+                let rows = PAGE_CELLS + is_last(page.id().square().y, self.rows);
+                band.lone_samples((x, y), (columns, rows))
+            }
             slot => slot,
         };
         Ok((page, own))

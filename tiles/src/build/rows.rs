@@ -8,7 +8,7 @@ use escarp_proto::page::MAX_HEIGHT;
 use rayon::prelude::*;
 
 /// Heights of grid rows, northern row first.
-pub(super) trait Rows {
+pub(crate) trait Rows {
     /// Fills rows `first..first + n` (grid rows, from the south) with heights or [`HOLE`],
     /// southern row first; all of them lie within the data.
     fn read(&mut self, first: u32, n: u32, out: &mut [i32]) -> Result<(), BuildError>;
@@ -19,6 +19,14 @@ pub(super) trait Rows {
         true
     }
 
+    /// What was stored of the rows read so far, where that is counted.
+    fn stored(&self) -> Option<Stored> {
+        None
+    }
+
+    /// Goes on counting from what was stored before.
+    fn resume(&mut self, _stored: Stored) {}
+
     /// What hangs below each cell; nothing does below the finest.
     fn slots(&self) -> Option<&Slots> {
         None
@@ -27,15 +35,15 @@ pub(super) trait Rows {
 
 /// What was stored of a source.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Stored {
-    pub(super) valid_samples: u64,
-    pub(super) range: Option<[i32; 2]>,
+pub(crate) struct Stored {
+    pub(crate) valid_samples: u64,
+    pub(crate) range: Option<[i32; 2]>,
     /// Rounded up.
-    pub(super) largest_error_m: f64,
+    pub(crate) largest_error_m: f64,
 }
 
 impl Stored {
-    const NOTHING: Stored = Stored {
+    pub(super) const NOTHING: Stored = Stored {
         valid_samples: 0,
         range: None,
         largest_error_m: 0.0,
@@ -55,7 +63,7 @@ impl Stored {
 }
 
 /// A source's rows, in quanta.
-pub(super) struct SourceRows<'a> {
+pub(crate) struct SourceRows<'a> {
     source: &'a mut dyn DemSource,
     quantum_m: f64,
     band: Vec<f64>,
@@ -63,17 +71,13 @@ pub(super) struct SourceRows<'a> {
 }
 
 impl<'a> SourceRows<'a> {
-    pub(super) fn new(source: &'a mut dyn DemSource, quantum_m: f64) -> Self {
+    pub(crate) fn new(source: &'a mut dyn DemSource, quantum_m: f64) -> Self {
         SourceRows {
             source,
             quantum_m,
             band: Vec::new(),
             stored: Stored::NOTHING,
         }
-    }
-
-    pub(super) fn summary(&self) -> Stored {
-        self.stored
     }
 
     /// The first sample that does not fit, for an error.
@@ -97,6 +101,14 @@ impl Rows for SourceRows<'_> {
     fn may_have_data(&self, first: u32, n: u32) -> bool {
         let first_row = self.source.info().height - first - n;
         !self.source.data_columns(first_row, n).is_empty()
+    }
+
+    fn stored(&self) -> Option<Stored> {
+        Some(self.stored)
+    }
+
+    fn resume(&mut self, stored: Stored) {
+        self.stored = stored;
     }
 
     fn read(&mut self, first: u32, n: u32, out: &mut [i32]) -> Result<(), BuildError> {

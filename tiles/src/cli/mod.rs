@@ -1,12 +1,15 @@
 //! The command line of `escarp-tiles`.
 
 mod build;
+mod compact;
 mod grid;
 mod info;
 mod input;
 mod mosaic;
 mod progress;
+mod resume;
 mod source;
+mod update;
 mod verify;
 
 use anyhow::Result;
@@ -29,6 +32,7 @@ Examples:
   escarp-tiles build moon.tif -o moon.escarp
   escarp-tiles build srtm/*.hgt.zip -o sierra.escarp       several inputs make one mosaic
   escarp-tiles build heights.png --spacing 160 --height-step 0.1 -o puget.escarp
+  escarp-tiles update moon.escarp --with crater.tif        only what changed is written
   escarp-tiles verify moon.escarp --against moon.tif
   escarp-tiles sample -o demo.tif --size 2048 --seed 7
 
@@ -38,6 +42,10 @@ Exit codes: 0 done; 1 failed, or a bound does not hold; 2 wrong usage.";
 enum Command {
     /// Build a dataset from one DEM or a mosaic of several
     Build(build::BuildArgs),
+    /// Change a part of a dataset: a new generation that shares all the rest
+    Update(update::UpdateArgs),
+    /// Drop what only old generations of a dataset need
+    Compact(compact::CompactArgs),
     /// Say what a dataset holds
     Info(info::InfoArgs),
     /// Check every checksum, and bounds by brute force
@@ -66,6 +74,8 @@ struct SampleArgs {
 pub fn run(cli: Cli) -> Result<ExitCode> {
     match cli.command {
         Command::Build(args) => build::run(&args),
+        Command::Update(args) => update::run(&args),
+        Command::Compact(args) => compact::run(&args),
         Command::Info(args) => info::run(&args),
         Command::Verify(args) => verify::run(&args),
         Command::Sample(args) => {
