@@ -292,13 +292,14 @@ impl Level {
         slots: Option<&Slots>,
     ) -> Result<(Page, ChildSlot), BuildError> {
         let (x, y) = (page.square().x as usize * PAGE_CELLS, band_row * PAGE_CELLS);
-        let mut samples = [None; PAGE_AREA];
-        for (row, samples) in samples.chunks_exact_mut(PAGE_SAMPLES).enumerate() {
-            let from = &band.samples[(y + row) * band.stride + x..][..PAGE_SAMPLES];
-            for (sample, &height) in samples.iter_mut().zip(from) {
-                *sample = (height != HOLE).then_some(height);
-            }
+        let mut heights = Box::new([HOLE; PAGE_AREA]);
+        for (row, heights) in heights.chunks_exact_mut(PAGE_SAMPLES).enumerate() {
+            heights.copy_from_slice(&band.samples[(y + row) * band.stride + x..][..PAGE_SAMPLES]);
         }
+        let holes = heights
+            .iter()
+            .fold(false, |any, &height| any | (height == HOLE));
+        let valid = holes.then(|| Box::new(heights.map(|height| height != HOLE)));
         let slots = slots.map(|slots| {
             let (x, y) = (x, page.square().y as usize * PAGE_CELLS);
             Box::new(std::array::from_fn(|i| {
@@ -307,8 +308,8 @@ impl Level {
             }))
         });
         let finest = slots.is_none();
-        let (page, bounds) = Page::with_bounds(page, &samples, slots)?;
-        let own = match bounds.slot() {
+        let (page, slot) = Page::with_slot(page, heights, valid, slots)?;
+        let own = match slot {
             ChildSlot::Empty if finest => band.lone_samples(x, y),
             slot => slot,
         };
