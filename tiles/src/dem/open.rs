@@ -9,12 +9,16 @@ use super::hgt::{self, Hgt};
 use super::mosaic::Mosaic;
 use super::png::Png;
 use super::{DemError, DemSource, OpenOptions, Placement};
+use crate::synth::SynthSource;
 
-/// Opens one DEM. Only its header is read; samples are decoded when rows are asked for.
+/// Opens one DEM: a file, or `synth:size=...` (see [`SynthSource::parse`]). Only its header is read; samples are decoded when rows are asked for.
 ///
 /// # Errors
 /// [`DemError`], sorted by who must act.
 pub fn open(path: &Path, options: &OpenOptions) -> Result<Box<dyn DemSource>, DemError> {
+    if let Some(synth) = SynthSource::parse(path) {
+        return Ok(Box::new(synth?));
+    }
     let (magic, length) = first_bytes(path)?;
     Ok(match &magic[..] {
         [b'I', b'I', 42 | 43, 0, ..] | [b'M', b'M', 0, 42 | 43, ..] => {
