@@ -1,5 +1,6 @@
 //! All pages of one level, band by band.
 
+use super::checkpoint::{Checkpoints, Done};
 use super::quantise::HOLE;
 use super::rows::Rows;
 use super::{BuildError, Progress};
@@ -34,7 +35,7 @@ impl Slots {
         }
     }
 
-    fn set(&mut self, column: usize, row: usize, slot: ChildSlot) {
+    pub(super) fn set(&mut self, column: usize, row: usize, slot: ChildSlot) {
         let at = row * self.columns + column;
         self.kinds[at] = slot.kind();
         match slot {
@@ -47,7 +48,7 @@ impl Slots {
     }
 
     /// Beyond the data there is nothing.
-    fn get(&self, column: usize, row: usize) -> ChildSlot {
+    pub(super) fn get(&self, column: usize, row: usize) -> ChildSlot {
         let at = row * self.columns + column;
         if column >= self.columns || at >= self.kinds.len() {
             return ChildSlot::Empty;
@@ -66,37 +67,42 @@ impl Slots {
 /// What a level leaves for the one above: a sample a page corner, a slot a page.
 #[derive(Debug)]
 pub(super) struct Above {
-    width: usize,
-    height: usize,
-    heights: Vec<i32>,
-    slots: Slots,
+    pub(super) width: usize,
+    pub(super) height: usize,
+    pub(super) heights: Vec<i32>,
+    pub(super) slots: Slots,
 }
 
 /// Rows of the samples that a level below left.
-pub(super) struct MemoryRows {
-    from: Above,
+pub(super) struct MemoryRows<'a> {
+    from: &'a Above,
 }
 
-impl MemoryRows {
-    pub(super) fn new(from: Above) -> Self {
+impl<'a> MemoryRows<'a> {
+    pub(super) fn new(from: &'a Above) -> Self {
         MemoryRows { from }
     }
 }
 
-impl Rows for MemoryRows {
-    fn read(&mut self, first: u32, n: u32, out: &mut [i32]) -> Result<(), BuildError> {
+impl Rows for MemoryRows<'_> {
+    fn read(
+        &mut self,
+        first: u32,
+        n: u32,
+        stride: usize,
+        out: &mut [i32],
+    ) -> Result<(), BuildError> {
         let width = self.from.width;
-        let start = first as usize * width;
-        out.copy_from_slice(&self.from.heights[start..start + n as usize * width]);
+        let rows = self.from.heights.chunks_exact(width).skip(first as usize);
+        for (out, row) in out.chunks_mut(stride).zip(rows.take(n as usize)) {
+            out[..width].copy_from_slice(row);
+        }
         Ok(())
-    }
-
-    fn slots(&self) -> Option<&Slots> {
-        Some(&self.from.slots)
     }
 }
 
 /// The pages of one level that the data reaches.
+#[derive(Debug, Clone, Copy)]
 pub(super) struct Level {
     grid: GridLevels,
     level: u8,
@@ -114,7 +120,100 @@ struct Band {
     samples: Vec<i32>,
 }
 
+/// Samples of a band up to which the next is read while one is encoded: wider ones take turns, so
+/// that memory is that of one.
+const MOST_AHEAD: usize = 1 << 25;
+
+/// The band that is encoded, and the one that is read meanwhile.
+struct Bands {
+    now: Band,
+    next: Option<Band>,
+}
+
+impl Bands {
+    fn new(level: &Level) -> Bands {
+        let now = Band::new(level);
+        let next = (now.samples.len() <= MOST_AHEAD).then(|| Band::new(level));
+        Bands { now, next }
+    }
+
+    /// Reads the first band; the southern row of the one before it is where a band has its own.
+    fn read(
+        &mut self,
+        level: &Level,
+        number: usize,
+        rows: &mut dyn Rows,
+    ) -> Result<(), BuildError> {
+        self.now.carry_over();
+        self.now.fill_below(level, number, rows)
+    }
+
+    /// Goes on to the next band.
+    fn advance(
+        &mut self,
+        level: &Level,
+        number: usize,
+        rows: &mut dyn Rows,
+    ) -> Result<(), BuildError> {
+        match &mut self.next {
+            Some(next) => {
+                std::mem::swap(&mut self.now, next);
+                Ok(())
+            }
+            None => self.read(level, number, rows),
+        }
+    }
+}
+
 impl Band {
+    fn new(level: &Level) -> Band {
+        let stride = level.columns.div_ceil(PAGE_CELLS) * FAMILY_CELLS + 1;
+        Band {
+            stride,
+            samples: vec![HOLE; stride * (FAMILY_CELLS + 1)],
+        }
+    }
+
+    /// Makes the southern row the northern one.
+    fn carry_over(&mut self) {
+        let stride = self.stride;
+        self.samples.copy_within(..stride, FAMILY_CELLS * stride);
+    }
+
+    /// Reads a band. Its northern row is the southern row of the band before.
+    fn fill(
+        &mut self,
+        level: &Level,
+        number: usize,
+        before: &Band,
+        rows: &mut dyn Rows,
+    ) -> Result<(), BuildError> {
+        let stride = self.stride;
+        self.samples[FAMILY_CELLS * stride..].copy_from_slice(&before.samples[..stride]);
+        self.fill_below(level, number, rows)
+    }
+
+    /// Reads all rows but the northern one, and that too if there is no band before. What lies
+    /// beyond the data is, and stays, a hole.
+    fn fill_below(
+        &mut self,
+        level: &Level,
+        number: usize,
+        rows: &mut dyn Rows,
+    ) -> Result<(), BuildError> {
+        let first = number * FAMILY_CELLS;
+        let is_northern = first + FAMILY_CELLS + 1 >= level.height;
+        let n = if is_northern {
+            level.height - first
+        } else {
+            FAMILY_CELLS
+        };
+        if n < FAMILY_CELLS {
+            self.samples[n * self.stride..FAMILY_CELLS * self.stride].fill(HOLE);
+        }
+        rows.read(first as u32, n as u32, self.stride, &mut self.samples)
+    }
+
     fn sample(&self, x: usize, y: usize) -> Option<i32> {
         let height = *self.samples.get(y * self.stride + x)?;
         (x < self.stride && height != HOLE).then_some(height)
@@ -179,44 +278,76 @@ impl Level {
         }
     }
 
-    /// The level whose samples this one left; `None` above the root.
-    pub(super) fn above(&self, left: &Above) -> Option<Level> {
+    /// The level whose samples this one leaves; `None` above the root.
+    pub(super) fn above(&self) -> Option<Level> {
         let level = self.level.checked_sub(PAGE_LEVELS)?;
-        Some(Level::new(
-            self.grid,
-            level,
-            left.width as u32,
-            left.height as u32,
-        ))
+        let (width, height) = (self.columns as u32 + 1, self.rows as u32 + 1);
+        Some(Level::new(self.grid, level, width, height))
     }
 
-    /// Makes and writes all pages.
-    pub(super) fn run(
-        &self,
-        rows: &mut dyn Rows,
-        writer: &mut DatasetWriter,
-        progress: Progress<'_>,
-    ) -> Result<Above, BuildError> {
-        let mut above = Above {
+    /// Level of its pages.
+    pub(super) const fn level(&self) -> u8 {
+        self.level
+    }
+
+    /// Bands of families.
+    pub(super) const fn bands(&self) -> usize {
+        self.rows.div_ceil(PAGE_CELLS)
+    }
+
+    /// Samples of a band.
+    pub(super) const fn band_samples(&self) -> u64 {
+        self.width as u64 * FAMILY_CELLS as u64
+    }
+
+    /// What the level leaves, before any band is done.
+    pub(super) fn new_above(&self) -> Above {
+        Above {
             width: self.columns + 1,
             height: self.rows + 1,
             heights: vec![HOLE; (self.columns + 1) * (self.rows + 1)],
             slots: Slots::new(self.columns, self.rows),
-        };
-        let families = self.columns.div_ceil(PAGE_CELLS);
-        let mut band = Band {
-            stride: families * FAMILY_CELLS + 1,
-            samples: Vec::new(),
-        };
-        band.samples = vec![HOLE; band.stride * (FAMILY_CELLS + 1)];
-        for number in (0..self.rows.div_ceil(PAGE_CELLS)).rev() {
-            self.fill(&mut band, number, rows)?;
-            let slots = rows.slots();
-            let made = (0..families)
-                .into_par_iter()
-                .map(|column| self.family(&band, column, number, slots))
-                .collect::<Result<Vec<_>, _>>()?;
-            for family in made {
+        }
+    }
+
+    /// Makes and writes all pages. While a band is encoded, the next one is read.
+    pub(super) fn run(
+        &self,
+        rows: &mut dyn Rows,
+        slots: Option<&Slots>,
+        writer: &mut DatasetWriter,
+        checkpoints: &mut Checkpoints,
+        progress: Progress<'_>,
+    ) -> Result<Above, BuildError> {
+        let done = checkpoints.take(self.level).unwrap_or_else(|| Done {
+            above: self.new_above(),
+            bands_left: self.bands(),
+        });
+        let (mut above, bands_left) = (done.above, done.bands_left);
+        let mut bands = Bands::new(self);
+        if bands_left < self.bands() {
+            let northern = (bands_left * FAMILY_CELLS) as u32;
+            rows.read(northern, 1, bands.now.stride, &mut bands.now.samples)?;
+            rows.resume(checkpoints.stored());
+        }
+        if let Some(first) = bands_left.checked_sub(1) {
+            bands.read(self, first, rows)?;
+        }
+        for number in (0..bands_left).rev() {
+            let stored = rows.stored();
+            let band = &bands.now;
+            let families = || {
+                let columns = (0..self.columns.div_ceil(PAGE_CELLS)).into_par_iter();
+                let made = columns.map(|column| self.family(band, column, number, slots));
+                made.collect::<Result<Vec<_>, _>>()
+            };
+            let next = number.checked_sub(1).zip(bands.next.as_mut());
+            let read = || match next {
+                Some((number, next)) => next.fill(self, number, band, rows),
+                None => Ok(()),
+            };
+            let (made, read) = rayon::join(families, read);
+            for family in made? {
                 if let Some(bytes) = family.bytes {
                     writer.append(&bytes)?;
                 }
@@ -224,31 +355,17 @@ impl Level {
                     above.slots.set(column, row, slot);
                 }
             }
-            self.keep_corners(&band, number, &mut above);
+            self.keep_corners(&bands.now, number, &mut above);
+            checkpoints.band(self, number, &above, stored, writer)?;
             let done = self.height.saturating_sub(number * FAMILY_CELLS);
             progress(done as u64, self.height as u64);
+            // An error of the next band comes after all that is sound has been noted.
+            read?;
+            if let Some(next) = number.checked_sub(1) {
+                bands.advance(self, next, rows)?;
+            }
         }
         Ok(above)
-    }
-
-    /// Reads a band. Its northern row is the southern row of the band before.
-    fn fill(&self, band: &mut Band, number: usize, rows: &mut dyn Rows) -> Result<(), BuildError> {
-        let stride = band.stride;
-        let first = number * FAMILY_CELLS;
-        band.samples.copy_within(..stride, FAMILY_CELLS * stride);
-        band.samples[..FAMILY_CELLS * stride].fill(HOLE);
-        let is_northern = first + FAMILY_CELLS + 1 >= self.height;
-        let n = if is_northern {
-            self.height - first
-        } else {
-            FAMILY_CELLS
-        };
-        let mut read = vec![HOLE; n * self.width];
-        rows.read(first as u32, n as u32, &mut read)?;
-        for (row, samples) in read.chunks_exact(self.width).enumerate() {
-            band.samples[row * stride..][..self.width].copy_from_slice(samples);
-        }
-        Ok(())
     }
 
     fn family(

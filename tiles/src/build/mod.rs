@@ -6,6 +6,7 @@
 //! The levels above are then made in the same way from memory. Memory is bounded by two bands and
 //! a few bytes for each finest page; nothing is written but the dataset itself.
 
+mod checkpoint;
 mod level;
 mod quantise;
 mod rows;
@@ -15,16 +16,20 @@ pub use quantise::{Quantum, choose_quantum};
 use crate::dataset::{DatasetError, DatasetWriter};
 use crate::dem::{DemError, DemSource};
 use crate::frame::georef_of;
+use checkpoint::Checkpoints;
 use escarp_proto::geometry::GridLevels;
 use escarp_proto::manifest::{FORMAT, FileCheck, Manifest, VERSION};
 use escarp_proto::page::PageError;
 use level::{Level, MemoryRows};
-use rows::{SourceRows, Stored};
+use rows::SourceRows;
 use std::path::{Path, PathBuf};
 use thiserror::Error;
 
 /// No dataset has more samples, holes included: a few bytes are kept for 256 of them.
 pub const MAX_SAMPLES: u64 = 1 << 36;
+
+/// Samples between two checkpoints: a few seconds of work.
+pub const CHECKPOINT_SAMPLES: u64 = 1 << 26;
 
 /// Why a build stopped. Nothing is published then.
 #[derive(Debug, Error)]
@@ -49,12 +54,35 @@ pub enum BuildError {
 }
 
 /// How to build.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct BuildOptions {
     /// Metres a unit of stored height.
     pub quantum: Quantum,
     /// Replace what is published under the same name.
     pub overwrite: bool,
+    /// Go on with what an unfinished build left behind, if it left anything.
+    pub resume: bool,
+    /// What else decides the result, in words: a build goes on only with the work of one that
+    /// said the same.
+    pub identity: Vec<String>,
+    /// Go on although lines of `identity` that start with `input` differ: the user vouches that
+    /// what was read before is the same, as when a bad block was repaired.
+    pub accept_changed: bool,
+    /// Samples between two checkpoints. The result does not depend on it.
+    pub checkpoint_samples: u64,
+}
+
+impl Default for BuildOptions {
+    fn default() -> Self {
+        BuildOptions {
+            quantum: Quantum::Natural,
+            overwrite: false,
+            resume: false,
+            identity: Vec::new(),
+            accept_changed: false,
+            checkpoint_samples: CHECKPOINT_SAMPLES,
+        }
+    }
 }
 
 /// What a build is about to say of itself: rows of the finest level done, and rows in all.
@@ -63,7 +91,8 @@ pub type Progress<'a> = &'a (dyn Fn(u64, u64) + Sync);
 /// Builds and publishes a dataset from a source, using the current rayon thread pool.
 ///
 /// # Errors
-/// [`BuildError`]; what was published before stays.
+/// [`BuildError`]; what was published before stays. If the build had come to a checkpoint, and
+/// another try may do better, its files stay for [`BuildOptions::resume`].
 pub fn build(
     source: &mut dyn DemSource,
     folder: &Path,
@@ -105,9 +134,22 @@ pub fn build(
         sources,
     };
     manifest.check().map_err(unfit)?;
-    let mut writer = DatasetWriter::create(folder, options.overwrite)?;
-    let stored = write_pages(source, &manifest, &mut writer, progress)?;
+    let mut writer = match options.resume {
+        true => DatasetWriter::reopen(folder, options.overwrite)?,
+        false => DatasetWriter::create(folder, options.overwrite)?,
+    };
+    let finest = Level::new(grid, grid.finest_page_level(), info.width, info.height);
+    let mut checkpoints = Checkpoints::open(&mut writer, &manifest, &options, finest)?;
+    let mut rows = SourceRows::new(source, quantum_m);
+    let written = write_pages(finest, &mut rows, &mut writer, &mut checkpoints, progress);
+    if let Err(BuildError::Unfit { .. } | BuildError::Page(_)) = &written {
+        // The same input will not do better next time.
+        writer.keep_unfinished(false);
+    }
+    written?;
+    let stored = checkpoints.stored();
     if stored.valid_samples == 0 {
+        writer.keep_unfinished(false);
         return Err(unfit("no sample has data: every one is a hole".into()));
     }
     manifest.valid_samples = stored.valid_samples;
@@ -118,19 +160,24 @@ pub fn build(
 
 /// Makes the pages of all levels, finest first.
 fn write_pages(
-    source: &mut dyn DemSource,
-    manifest: &Manifest,
+    finest: Level,
+    rows: &mut SourceRows<'_>,
     writer: &mut DatasetWriter,
+    checkpoints: &mut Checkpoints,
     progress: Progress<'_>,
-) -> Result<Stored, BuildError> {
-    let (grid, [width, height]) = (manifest.grid_levels, manifest.samples);
-    let mut rows = SourceRows::new(source, manifest.georef.quantum_m);
-    let mut level = Level::new(grid, grid.finest_page_level(), width, height);
-    let mut left = level.run(&mut rows, writer, progress)?;
-    let stored = rows.summary();
-    while let Some(above) = level.above(&left) {
+) -> Result<(), BuildError> {
+    let mut level = finest;
+    let mut left = level.run(rows, None, writer, checkpoints, progress)?;
+    while let Some(above) = level.above() {
         level = above;
-        left = level.run(&mut MemoryRows::new(left), writer, &|_, _| {})?;
+        let slots = Some(&left.slots);
+        left = level.run(
+            &mut MemoryRows::new(&left),
+            slots,
+            writer,
+            checkpoints,
+            &|_, _| {},
+        )?;
     }
-    Ok(stored)
+    Ok(())
 }

@@ -1,15 +1,16 @@
 //! `escarp-tiles build`.
 
 use super::progress::Progress;
+use super::resume::{announce, identity, kept};
 use super::source::SourceArgs;
-use crate::build::{BuildOptions, Quantum, build};
+use crate::build::{BuildOptions, CHECKPOINT_SAMPLES, Quantum, build};
 use crate::dataset::Dataset;
 use crate::dem::OverlapReport;
 use crate::process;
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, anyhow};
 use clap::Args;
 use serde_json::json;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
 
@@ -45,6 +46,16 @@ pub(super) struct BuildArgs {
     /// Replace a dataset of this name
     #[arg(long)]
     overwrite: bool,
+    /// Go on with a build of the same inputs and options that was stopped on its way
+    #[arg(long)]
+    resume: bool,
+    /// With --resume: go on although inputs changed, as when a bad block was repaired; what was
+    /// read of them before must be the same
+    #[arg(long, requires = "resume")]
+    accept_changed: bool,
+    /// Samples between two checkpoints, from which --resume can go on
+    #[arg(long, value_name = "N", default_value_t = CHECKPOINT_SAMPLES)]
+    checkpoint: u64,
     /// Print the summary as JSON
     #[arg(long)]
     json: bool,
@@ -73,7 +84,12 @@ pub(super) fn run(args: &BuildArgs) -> Result<ExitCode> {
             (None, false) => Quantum::Natural,
         },
         overwrite: args.overwrite,
+        resume: args.resume,
+        identity: identity(&inputs, &args.source),
+        accept_changed: args.accept_changed,
+        checkpoint_samples: args.checkpoint,
     };
+    announce(&args.output, args.resume);
     let progress = Progress::new("building", args.json);
     let mut sources: Vec<String> = inputs.iter().map(name).take(MOST_SOURCES).collect();
     if inputs.len() > MOST_SOURCES {
@@ -87,8 +103,9 @@ pub(super) fn run(args: &BuildArgs) -> Result<ExitCode> {
         &|done, total| {
             progress.at(done, total);
         },
-    )?;
+    );
     progress.end();
+    let manifest = manifest.map_err(|error| with_note(error.into(), &args.output))?;
     let overlaps = source.overlaps();
     let bytes = Dataset::open(&args.output)?.total_bytes();
     let samples = u64::from(manifest.samples[0]) * u64::from(manifest.samples[1]);
@@ -140,6 +157,14 @@ pub(super) fn run(args: &BuildArgs) -> Result<ExitCode> {
         None => println!("{wall_s:.1} s"),
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// An error, and below it what the build left behind.
+fn with_note(error: anyhow::Error, folder: &Path) -> anyhow::Error {
+    match kept(folder) {
+        Some(note) => anyhow!("{error:#}\n{note}"),
+        None => error,
+    }
 }
 
 /// To a millionth, for people.

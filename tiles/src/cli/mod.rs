@@ -6,6 +6,7 @@ mod info;
 mod input;
 mod mosaic;
 mod progress;
+mod resume;
 mod source;
 mod verify;
 

@@ -145,7 +145,8 @@ pub(super) fn sync_folder(folder: &Path) -> Result<(), DatasetError> {
 
 fn not_a_dataset(folder: &Path) -> DatasetError {
     let why = if folder.is_dir() {
-        "no finished dataset: there is no CURRENT in it, so its build did not end; build it again"
+        "no finished dataset: there is no CURRENT in it, so its build did not end; go on with \
+         build --resume, or build it again"
     } else if folder.exists() {
         "not a dataset: a dataset is a folder; make one with escarp-tiles build"
     } else {

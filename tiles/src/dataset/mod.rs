@@ -9,7 +9,9 @@
 mod current;
 mod error;
 mod family;
+mod files;
 mod index;
+mod journal;
 mod map;
 mod read;
 mod write;
@@ -17,7 +19,9 @@ mod write;
 pub use current::{Current, current_path};
 pub use error::DatasetError;
 pub use family::{FamilyId, FamilyTable, StoredRecord};
+pub use files::{Unfinished, unfinished};
 pub use index::IndexEntry;
+pub(crate) use journal::{Journal, MAX_ENTRY_BYTES};
 pub use read::PageReader;
 pub use write::{DatasetWriter, FamilyBytes, MAX_SEGMENT_BYTES};
 

@@ -182,78 +182,91 @@ fn square<T: Whole, const SIDE: usize>(
     rises: bool,
 ) -> ([T; 4], [T; 2]) {
     let centre = sw + SIDE / 2 * ROW + SIDE / 2;
-    let (column, row) = (1, ROW as isize);
-    let edges = [
-        edge_triangle::<T, SIDE>(heights, centre, column, row),
-        edge_triangle::<T, SIDE>(heights, centre, row, column),
-        edge_triangle::<T, SIDE>(heights, centre, -column, row),
-        edge_triangle::<T, SIDE>(heights, centre, -row, column),
-    ];
     // Each half from its right angle: its legs run along a row and along a column.
     let (se, nw) = (sw + SIDE, sw + SIDE * ROW);
     let halves = if rises {
-        [
-            half::<T, SIDE>(heights, se, -column, row),
-            half::<T, SIDE>(heights, nw, column, -row),
-        ]
+        halves::<T, SIDE>(
+            heights,
+            [se, nw],
+            [(-1, ROW as isize), (1, -(ROW as isize))],
+        )
     } else {
-        [
-            half::<T, SIDE>(heights, sw, column, row),
-            half::<T, SIDE>(heights, nw + SIDE, -column, -row),
-        ]
+        let ne = nw + SIDE;
+        halves::<T, SIDE>(
+            heights,
+            [sw, ne],
+            [(1, ROW as isize), (-1, -(ROW as isize))],
+        )
     };
-    (edges, halves)
+    (edge_triangles::<T, SIDE>(heights, centre), halves)
 }
 
-/// The triangle of a centre and an edge that lies `out` of it: `|u| <= v <= SIDE / 2`, `u` along
-/// the edge and `v` out.
-fn edge_triangle<T: Whole, const SIDE: usize>(
-    heights: &[T; PAGE_AREA],
-    centre: usize,
-    out: isize,
-    along: isize,
-) -> T {
+/// The triangles of a centre and each edge. In a triangle's own directions, `u` along the edge and
+/// `v` out to it, it is `|u| <= v <= SIDE / 2`. The four are walked together, as none waits for
+/// another.
+fn edge_triangles<T: Whole, const SIDE: usize>(heights: &[T; PAGE_AREA], centre: usize) -> [T; 4] {
+    /// Outwards and along, by `Edge`.
+    const WAYS: [(isize, isize); 4] = [
+        (1, ROW as isize),
+        (ROW as isize, 1),
+        (-1, ROW as isize),
+        (-(ROW as isize), 1),
+    ];
     let half = (SIDE / 2) as isize;
-    let at = |u: isize, v: isize| heights[centre.wrapping_add_signed(u * along + v * out)];
-    let (middle, left, right) = (at(0, 0), at(-half, half), at(half, half));
+    let at = |i: usize, u: isize, v: isize| {
+        let (out, along) = WAYS[i];
+        heights[centre.wrapping_add_signed(u * along + v * out)]
+    };
     let shift = SIDE.ilog2();
-    let to_left = (left - middle) >> (shift - 1);
-    let step = (right - left) >> shift;
-    let (mut largest, mut start) = (T::default(), middle);
+    let (left, right) = (
+        [0, 1, 2, 3].map(|i| at(i, -half, half)),
+        [0, 1, 2, 3].map(|i| at(i, half, half)),
+    );
+    let mut starts = [heights[centre]; 4];
+    let mut largest = [T::default(); 4];
     for v in 1..=half {
-        start = start + to_left;
-        let mut plane = start;
+        let mut planes = starts;
+        for i in 0..4 {
+            starts[i] = starts[i] + ((left[i] - heights[centre]) >> (shift - 1));
+            planes[i] = starts[i];
+        }
         for u in -v..=v {
-            largest = largest.max(apart(at(u, v), plane));
-            plane = plane + step;
+            for i in 0..4 {
+                largest[i] = largest[i].max(apart(at(i, u, v), planes[i]));
+                planes[i] = planes[i] + ((right[i] - left[i]) >> shift);
+            }
         }
     }
     largest
 }
 
-/// The half of a square with its right angle at `corner`: `u + v <= SIDE`, along its legs.
-fn half<T: Whole, const SIDE: usize>(
+/// The halves of a square with their right angles at `corners`: `u + v <= SIDE` along their legs.
+fn halves<T: Whole, const SIDE: usize>(
     heights: &[T; PAGE_AREA],
-    corner: usize,
-    along: isize,
-    up: isize,
-) -> T {
+    corners: [usize; 2],
+    ways: [(isize, isize); 2],
+) -> [T; 2] {
     let side = SIDE as isize;
-    let at = |u: isize, v: isize| heights[corner.wrapping_add_signed(u * along + v * up)];
+    let at = |i: usize, u: isize, v: isize| {
+        let (along, up) = ways[i];
+        heights[corners[i].wrapping_add_signed(u * along + v * up)]
+    };
     let shift = SIDE.ilog2();
-    let mut start = at(0, 0);
-    let (step, rise) = (
-        (at(side, 0) - start) >> shift,
-        (at(0, side) - start) >> shift,
-    );
-    let mut largest = T::default();
+    let mut starts = [0, 1].map(|i| at(i, 0, 0));
+    let steps = [0, 1].map(|i| (at(i, side, 0) - starts[i]) >> shift);
+    let rises = [0, 1].map(|i| (at(i, 0, side) - starts[i]) >> shift);
+    let mut largest = [T::default(); 2];
     for v in 0..=side {
-        let mut plane = start;
+        let mut planes = starts;
         for u in 0..=side - v {
-            largest = largest.max(apart(at(u, v), plane));
-            plane = plane + step;
+            for i in 0..2 {
+                largest[i] = largest[i].max(apart(at(i, u, v), planes[i]));
+                planes[i] = planes[i] + steps[i];
+            }
         }
-        start = start + rise;
+        for i in 0..2 {
+            starts[i] = starts[i] + rises[i];
+        }
     }
     largest
 }
