@@ -29,6 +29,7 @@ mod dted;
 mod envi;
 mod error;
 mod esri_header;
+mod fill;
 mod folder;
 mod geokeys;
 mod geotiff;
@@ -50,12 +51,13 @@ mod unpack;
 mod usgs;
 mod write;
 
+use std::ops::Range;
 use std::path::PathBuf;
 
 pub use error::DemError;
-pub use folder::expand;
-pub use mosaic::{Mosaic, OverlapReport};
-pub use open::{open, open_all};
+pub use fill::{DEFAULT_FILL_SAMPLES, Filled, FilledRun, Fills, MAX_FILL_SAMPLES};
+pub use mosaic::{JoinOptions, MAX_SEAM_SAMPLES, Mosaic, OverlapReport, Priority, Seam};
+pub use open::{join_all, open, open_all};
 pub use raw::RawShape;
 pub use rgb::RgbCoding;
 pub use write::write_geotiff;
@@ -212,6 +214,18 @@ pub trait DemSource: Send {
     /// What overlapping inputs said of the same samples, over the rows read so far; `None` where
     /// there is only one input.
     fn overlaps(&self) -> Option<OverlapReport> {
+        None
+    }
+
+    /// Columns outside of which rows `first_row..first_row + rows` are known to be holes, without
+    /// reading them: ascending, apart from each other. None at all if there is no data in them.
+    fn data_columns(&self, first_row: u32, rows: u32) -> Vec<Range<u32>> {
+        let _ = (first_row, rows);
+        std::iter::once(0..self.info().width).collect()
+    }
+
+    /// Which samples are no data but fill; `None` where nothing was asked to be filled.
+    fn fills(&self) -> Option<&Fills> {
         None
     }
 }

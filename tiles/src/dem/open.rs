@@ -15,7 +15,8 @@ use super::raw::RawGrid;
 use super::rgb::RgbTile;
 use super::usgs::UsgsDem;
 use super::{
-    DemError, DemSource, OpenOptions, Placement, envi, esri_header, folder, handover, unpack,
+    DemError, DemSource, JoinOptions, OpenOptions, Placement, envi, esri_header, folder, handover,
+    unpack,
 };
 
 /// Opens one DEM: a file, or a folder of tiles `{z}/{x}/{y}.png`. Only its header is read, and
@@ -94,7 +95,11 @@ fn open_folder(path: &Path, options: &OpenOptions) -> Result<Box<dyn DemSource>,
     let files = folder::dems_in(path)?;
     match &files[..] {
         [one] => open(one, options),
-        _ => Ok(Box::new(Mosaic::open(&files, options)?)),
+        _ => Ok(Box::new(Mosaic::open(
+            &files,
+            options,
+            JoinOptions::default(),
+        )?)),
     }
 }
 
@@ -103,9 +108,21 @@ fn open_folder(path: &Path, options: &OpenOptions) -> Result<Box<dyn DemSource>,
 /// # Errors
 /// Those of [`open`], and [`DemError::Usage`] for inputs that do not fit together.
 pub fn open_all(paths: &[PathBuf], options: &OpenOptions) -> Result<Box<dyn DemSource>, DemError> {
+    join_all(paths, options, JoinOptions::default())
+}
+
+/// As [`open_all`], with a say in how inputs are joined.
+///
+/// # Errors
+/// As [`open_all`].
+pub fn join_all(
+    paths: &[PathBuf],
+    options: &OpenOptions,
+    join: JoinOptions,
+) -> Result<Box<dyn DemSource>, DemError> {
     match &folder::expand(paths)?[..] {
         [one] => open(one, options),
-        several => Ok(Box::new(Mosaic::open(several, options)?)),
+        several => Ok(Box::new(Mosaic::open(several, options, join)?)),
     }
 }
 
