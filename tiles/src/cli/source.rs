@@ -3,7 +3,7 @@
 use super::grid::GridArgs;
 use super::input::InputArgs;
 use super::mosaic::MosaicArgs;
-use crate::dem::{DemSource, expand};
+use crate::dem::DemSource;
 use anyhow::Result;
 use clap::Args;
 use std::path::PathBuf;
@@ -22,8 +22,7 @@ pub(super) struct SourceArgs {
 impl SourceArgs {
     /// Opens the inputs, joins them, brings them to the dataset's grid, and fills voids.
     pub(super) fn open(&self, inputs: &[PathBuf]) -> Result<Box<dyn DemSource>> {
-        let inputs = expand(inputs)?;
-        let joined = self.mosaic.join(&inputs, &self.input.options())?;
+        let joined = self.mosaic.join(inputs, &self.input.options())?;
         let placed = self.grid.place(joined)?;
         self.mosaic.fill(placed)
     }

@@ -3,6 +3,7 @@
 
 use std::fs::File;
 use std::io::{BufReader, Read, Write};
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use flate2::read::MultiGzDecoder;
@@ -184,6 +185,10 @@ impl DemSource for Unpacked {
     fn read_rows(&mut self, first_row: u32, rows: u32, out: &mut [f64]) -> Result<(), DemError> {
         let read = self.inner.read_rows(first_row, rows, out);
         read.map_err(|error| self.spool.rename(error))
+    }
+
+    fn data_columns(&self, first_row: u32, rows: u32) -> Vec<Range<u32>> {
+        self.inner.data_columns(first_row, rows)
     }
 }
 
