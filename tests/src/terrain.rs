@@ -2,6 +2,7 @@
 
 use escarp_proto::geometry::PageId;
 use escarp_proto::manifest::Manifest;
+use escarp_proto::page::Codec;
 use escarp_tiles::build::{BuildError, BuildOptions, Quantum, build};
 use escarp_tiles::dataset::{Dataset, PageReader};
 use escarp_tiles::dem::{Crs, DemError, DemInfo, DemSource, Placement, Registration, SampleType};
@@ -147,7 +148,11 @@ pub fn build_with(
     quantum: Quantum,
     overwrite: bool,
 ) -> Result<Manifest, BuildError> {
-    let options = BuildOptions { quantum, overwrite };
+    let options = BuildOptions {
+        quantum,
+        codec: Codec::Dense,
+        overwrite,
+    };
     build(source, path, vec!["test".into()], options, &|_, _| {})
 }
 

@@ -8,7 +8,7 @@ use escarp_proto::err8::Err8;
 use escarp_proto::geometry::{
     GridLevels, PAGE_CELLS, PAGE_LEVELS, PAGE_SAMPLES, PAGE_SLOTS, PageId, Slot,
 };
-use escarp_proto::page::{ChildSlot, Kind, PAGE_AREA, Page, Range, Record};
+use escarp_proto::page::{ChildSlot, Codec, Kind, PAGE_AREA, Page, Range, Record};
 use rayon::prelude::*;
 use std::collections::HashMap;
 
@@ -100,6 +100,7 @@ impl Rows for MemoryRows {
 pub(super) struct Level {
     grid: GridLevels,
     level: u8,
+    codec: Codec,
     /// Samples at this level's spacing.
     width: usize,
     height: usize,
@@ -167,11 +168,17 @@ struct Family {
 }
 
 impl Level {
-    pub(super) fn new(grid: GridLevels, level: u8, width: u32, height: u32) -> Level {
+    pub(super) fn new(
+        grid: GridLevels,
+        level: u8,
+        [width, height]: [u32; 2],
+        codec: Codec,
+    ) -> Level {
         let pages = |samples: u32| (samples as usize - 1).div_ceil(PAGE_CELLS).max(1);
         Level {
             grid,
             level,
+            codec,
             width: width as usize,
             height: height as usize,
             columns: pages(width),
@@ -185,8 +192,8 @@ impl Level {
         Some(Level::new(
             self.grid,
             level,
-            left.width as u32,
-            left.height as u32,
+            [left.width as u32, left.height as u32],
+            self.codec,
         ))
     }
 
@@ -274,7 +281,7 @@ impl Level {
             id = FamilyId::of(page);
             let (made, own) = self.page(band, page, dy, slots)?;
             if own.has_record() || page == PageId::ROOT {
-                records.push((slot, Record::encode(&made).bytes().to_vec()));
+                records.push((slot, Record::encode(&made, self.codec).bytes().to_vec()));
             }
             left.push((x, y, own));
         }

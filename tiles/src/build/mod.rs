@@ -17,7 +17,7 @@ use crate::dem::{DemError, DemSource};
 use crate::frame::georef_of;
 use escarp_proto::geometry::GridLevels;
 use escarp_proto::manifest::{FORMAT, FileCheck, Manifest, VERSION};
-use escarp_proto::page::PageError;
+use escarp_proto::page::{Codec, PageError};
 use level::{Level, MemoryRows};
 use rows::{SourceRows, Stored};
 use std::path::{Path, PathBuf};
@@ -53,6 +53,8 @@ pub enum BuildError {
 pub struct BuildOptions {
     /// Metres a unit of stored height.
     pub quantum: Quantum,
+    /// How records are coded.
+    pub codec: Codec,
     /// Replace what is published under the same name.
     pub overwrite: bool,
 }
@@ -95,7 +97,7 @@ pub fn build(
         height_range: None,
         georef: georef_of(&info, quantum_m),
         storage_error_m: 0.0,
-        codec: 0,
+        codec: options.codec as u8,
         pages: 0,
         segments: Vec::new(),
         index: FileCheck {
@@ -106,7 +108,7 @@ pub fn build(
     };
     manifest.check().map_err(unfit)?;
     let mut writer = DatasetWriter::create(folder, options.overwrite)?;
-    let stored = write_pages(source, &manifest, &mut writer, progress)?;
+    let stored = write_pages(source, &manifest, options.codec, &mut writer, progress)?;
     if stored.valid_samples == 0 {
         return Err(unfit("no sample has data: every one is a hole".into()));
     }
@@ -120,12 +122,13 @@ pub fn build(
 fn write_pages(
     source: &mut dyn DemSource,
     manifest: &Manifest,
+    codec: Codec,
     writer: &mut DatasetWriter,
     progress: Progress<'_>,
 ) -> Result<Stored, BuildError> {
     let (grid, [width, height]) = (manifest.grid_levels, manifest.samples);
     let mut rows = SourceRows::new(source, manifest.georef.quantum_m);
-    let mut level = Level::new(grid, grid.finest_page_level(), width, height);
+    let mut level = Level::new(grid, grid.finest_page_level(), [width, height], codec);
     let mut left = level.run(&mut rows, writer, progress)?;
     let stored = rows.summary();
     while let Some(above) = level.above(&left) {

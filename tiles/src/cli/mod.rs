@@ -1,5 +1,6 @@
 //! The command line of `escarp-tiles`.
 
+mod bench;
 mod build;
 mod grid;
 mod info;
@@ -30,6 +31,7 @@ Examples:
   escarp-tiles build srtm/*.hgt.zip -o sierra.escarp       several inputs make one mosaic
   escarp-tiles build heights.png --spacing 160 --height-step 0.1 -o puget.escarp
   escarp-tiles verify moon.escarp --against moon.tif
+  escarp-tiles bench moon.tif --max-error 0,1,4,8
   escarp-tiles sample -o demo.tif --size 2048 --seed 7
 
 Exit codes: 0 done; 1 failed, or a bound does not hold; 2 wrong usage.";
@@ -42,6 +44,8 @@ enum Command {
     Info(info::InfoArgs),
     /// Check every checksum, and bounds by brute force
     Verify(verify::VerifyArgs),
+    /// Measure size and speed of the codec on DEM files, at several largest errors
+    Bench(bench::BenchArgs),
     /// Write a synthetic DEM: ridges, valleys, a lake, a cliff, detail
     Sample(SampleArgs),
 }
@@ -68,6 +72,7 @@ pub fn run(cli: Cli) -> Result<ExitCode> {
         Command::Build(args) => build::run(&args),
         Command::Info(args) => info::run(&args),
         Command::Verify(args) => verify::run(&args),
+        Command::Bench(args) => bench::run(&args),
         Command::Sample(args) => {
             crate::synth::write_geotiff(&args.output, args.size, args.seed)?;
             let (file, side) = (args.output.display(), args.size);
