@@ -17,6 +17,8 @@
 //! where heights are so large that they do wrap, only the prediction is bad. Rows are computed
 //! eight lanes at a time, whether or not there are so many vertices.
 
+use crate::geometry::PAGE_SAMPLES;
+
 /// Of a plane, which has a ring of extrapolated samples around up to 9 x 9 known ones.
 const SIDE: usize = 16;
 /// Vertices of a row that are computed together.
@@ -33,6 +35,13 @@ type Plane = [[i32; SIDE]; SIDE];
 pub(super) struct Row {
     pub(super) predicted: [i32; LANES],
     pub(super) expected: [u32; LANES],
+}
+
+/// Vertices of a line, once they are known.
+#[derive(Default)]
+pub(super) struct Line {
+    pub(super) heights: [i32; LANES],
+    pub(super) residuals: [i32; LANES],
 }
 
 /// What a residual's magnitude is expected from.
@@ -120,6 +129,16 @@ impl Phase {
             Phase::South | Phase::North | Phase::West | Phase::East => (1, cells),
             Phase::Rows => (cells - 1, cells),
             Phase::Columns => (cells, cells - 1),
+        }
+    }
+
+    /// The page's sample that is the first of a line, and how far apart they are.
+    pub(super) const fn samples(self, cells: usize, line: usize, step: usize) -> (usize, usize) {
+        let (x, y) = self.place(cells, line, 0);
+        let first = (y * PAGE_SAMPLES + x) * step;
+        match self {
+            Phase::West | Phase::East => (first, 2 * step * PAGE_SAMPLES),
+            _ => (first, 2 * step),
         }
     }
 
@@ -238,19 +257,26 @@ impl Levels {
         if phase == Phase::Rows && line == 0 {
             self.reflect();
         }
-        match phase {
-            Phase::Centres => self.predict_centres(line),
-            Phase::Rows => self.predict_row(line + 1),
-            Phase::Columns => self.predict_column(line),
-            _ => self.predict_border(phase),
+        match self.cells > LANES / 2 {
+            true => self.predict_lanes::<LANES>(phase, line),
+            false => self.predict_lanes::<{ LANES / 2 }>(phase, line),
         }
     }
 
-    fn predict_centres(&self, line: usize) -> Row {
+    fn predict_lanes<const N: usize>(&self, phase: Phase, line: usize) -> Row {
+        match phase {
+            Phase::Centres => self.predict_centres::<N>(line),
+            Phase::Rows => self.predict_row::<N>(line + 1),
+            Phase::Columns => self.predict_column::<N>(line),
+            _ => self.predict_border::<N>(phase),
+        }
+    }
+
+    fn predict_centres<const N: usize>(&self, line: usize) -> Row {
         let [south, a, b, north] = [0, 1, 2, 3].map(|i| &self.coarse[line + i]);
         let (sizes_a, sizes_b) = (&self.coarse_sizes[line + 1], &self.coarse_sizes[line + 2]);
         let weights = &CENTRE_WEIGHTS[self.level()];
-        lanes(|i| {
+        lanes::<N>(|i| {
             let near = sum!(a[i + 1], a[i + 2], b[i + 1], b[i + 2]);
             let beside = sum!(a[i], a[i + 3], b[i], b[i + 3]);
             let far = sum!(
@@ -275,13 +301,13 @@ impl Levels {
         })
     }
 
-    fn predict_row(&self, row: usize) -> Row {
+    fn predict_row<const N: usize>(&self, row: usize) -> Row {
         let [south, own, north] = [0, 1, 2].map(|i| &self.coarse[row + i]);
         let [below, above] = [0, 1].map(|i| &self.centres[row + i]);
         let [sizes_below, sizes_above] = [0, 1].map(|i| &self.centre_sizes[row + i]);
         let sizes = &self.coarse_sizes[row + 1];
         let weights = &EDGE_WEIGHTS[self.level()];
-        lanes(|i| {
+        lanes::<N>(|i| {
             let ends = sum!(own[i + 1], own[i + 2]);
             let across = sum!(below[i + 1], above[i + 1]);
             let far = sum!(
@@ -310,13 +336,13 @@ impl Levels {
         })
     }
 
-    fn predict_column(&self, line: usize) -> Row {
+    fn predict_column<const N: usize>(&self, line: usize) -> Row {
         let [below, above] = [1, 2].map(|i| &self.coarse[line + i]);
         let [south, own, north] = [0, 1, 2].map(|i| &self.centres[line + i]);
         let own_sizes = &self.centre_sizes[line + 1];
         let [sizes_below, sizes_above] = [1, 2].map(|i| &self.coarse_sizes[line + i]);
         let weights = &EDGE_WEIGHTS[self.level()];
-        lanes(|i| {
+        lanes::<N>(|i| {
             let ends = sum!(below[i + 2], above[i + 2]);
             let across = sum!(own[i + 1], own[i + 2]);
             let far = sum!(
@@ -346,7 +372,7 @@ impl Levels {
     }
 
     /// Cubic along the border.
-    fn predict_border(&self, phase: Phase) -> Row {
+    fn predict_border<const N: usize>(&self, phase: Phase) -> Row {
         let cells = self.cells;
         let column = |plane: &Plane, at: usize| std::array::from_fn(|i| plane[i][at]);
         let (coarse, sizes, beside): ([i32; SIDE], [i32; SIDE], [i32; SIDE]) = match phase {
@@ -368,7 +394,7 @@ impl Levels {
             ),
         };
         let weights = &BORDER_WEIGHTS[self.level()];
-        lanes(|i| {
+        lanes::<N>(|i| {
             let near = sum!(coarse[i + 1], coarse[i + 2]);
             let bent = near.wrapping_sub(sum!(coarse[i], coarse[i + 3]));
             let predicted = sum!(near.wrapping_mul(8), bent, 8) >> 4;
@@ -383,23 +409,27 @@ impl Levels {
         })
     }
 
-    /// Puts a vertex in its place, with the magnitude of its residual.
-    #[inline(always)]
-    pub(super) fn put(&mut self, phase: Phase, line: usize, i: usize, value: i32, residual: i32) {
+    /// Puts a line's vertices in their places, with the magnitudes of their residuals.
+    pub(super) fn put(&mut self, phase: Phase, line: usize, vertices: usize, of: &Line) {
         let cells = self.cells;
-        let residual = size(residual).min(MOST);
-        let (plane, sizes, row, column) = match phase {
-            Phase::Centres => (&mut self.centres, &mut self.centre_sizes, line + 1, i + 1),
-            Phase::South => (&mut self.rows, &mut self.row_sizes, 0, i + 1),
-            Phase::North => (&mut self.rows, &mut self.row_sizes, cells, i + 1),
-            Phase::West => (&mut self.columns, &mut self.column_sizes, i + 1, 0),
-            Phase::East => (&mut self.columns, &mut self.column_sizes, i + 1, cells),
-            Phase::Rows => (&mut self.rows, &mut self.row_sizes, line + 1, i + 1),
-            Phase::Columns => (&mut self.columns, &mut self.column_sizes, line + 1, i + 1),
+        let sizes = of.residuals.map(|residual| size(residual).min(MOST));
+        let (plane, size_plane, row) = match phase {
+            Phase::Centres => (&mut self.centres, &mut self.centre_sizes, line + 1),
+            Phase::South => (&mut self.rows, &mut self.row_sizes, 0),
+            Phase::North => (&mut self.rows, &mut self.row_sizes, cells),
+            Phase::Rows => (&mut self.rows, &mut self.row_sizes, line + 1),
+            Phase::Columns => (&mut self.columns, &mut self.column_sizes, line + 1),
+            Phase::West | Phase::East => {
+                let column = if phase == Phase::West { 0 } else { cells };
+                for i in 0..vertices.min(LANES) {
+                    self.columns[i + 1][column] = of.heights[i];
+                    self.column_sizes[i + 1][column] = sizes[i];
+                }
+                return;
+            }
         };
-        // No plane has so many vertices: this only saves the check.
-        plane[row % SIDE][column % SIDE] = value;
-        sizes[row % SIDE][column % SIDE] = residual;
+        plane[row][1..][..vertices].copy_from_slice(&of.heights[..vertices]);
+        size_plane[row][1..][..vertices].copy_from_slice(&sizes[..vertices]);
     }
 
     /// To be called after a level but the last: its vertices become coarser ones.
@@ -432,12 +462,12 @@ impl Levels {
 }
 
 #[inline(always)]
-fn lanes(vertex: impl Fn(usize) -> (i32, u32)) -> Row {
+fn lanes<const N: usize>(vertex: impl Fn(usize) -> (i32, u32)) -> Row {
     let mut row = Row {
         predicted: [0; LANES],
         expected: [0; LANES],
     };
-    for i in 0..LANES {
+    for i in 0..N {
         (row.predicted[i], row.expected[i]) = vertex(i);
     }
     row

@@ -19,7 +19,7 @@ use super::record::{Codec, HOLES, RAW, Tag};
 use super::{MAX_HEIGHT, PAGE_AREA, Page, PageError, Range, SLOT_PART, level_step};
 use crate::err8::Err8;
 use crate::geometry::{PAGE_LEVELS, PAGE_SAMPLES, PageId};
-use levels::{Levels, Phase};
+use levels::{LANES, Levels, Line, Phase};
 use rans::{Coder, Decoder, Encoder, Known, START};
 use symbols::{CORNER, MASK, REST, RISE, residual, unzigzag, zigzag};
 
@@ -292,35 +292,49 @@ impl Traversal {
 
     /// Codes a level's vertices. Gives the largest magnitude of a residual.
     fn level<const HOLES: bool>(&mut self, level: u8, coder: &mut impl Coder) -> u32 {
-        let (step, cells, base) = (level_step(level), self.levels.cells(), self.base);
+        let cells = self.levels.cells();
         let mut largest = 0;
         self.levels.open();
         for phase in Phase::ALL {
-            let (lines, vertices) = phase.lines(cells);
-            for line in 0..lines {
-                let row = self.levels.predict(phase, line);
-                for i in 0..vertices {
-                    let (x, y) = phase.place(cells, line, i);
-                    let (column, row_number) = (x * step, y * step);
-                    let at = row_number * PAGE_SAMPLES + column;
-                    if HOLES && !self.vertex_has_data(level, phase, at, coder) {
-                        let heights = &self.page.heights;
-                        let fill = codec0::prediction(heights, level, column, row_number);
-                        self.page.heights[at] = fill;
-                        self.levels.put(phase, line, i, fill.wrapping_sub(base), 0);
-                        continue;
-                    }
-                    let predicted = row.predicted[i];
-                    let known = self.page.heights[at].wrapping_sub(base);
-                    let missed = known.wrapping_sub(predicted);
-                    let missed = residual(coder, row.expected[i], missed);
-                    let height = predicted.wrapping_add(missed);
-                    largest = largest.max(missed.unsigned_abs());
-                    self.page.heights[at] = height.wrapping_add(base);
-                    self.levels.put(phase, line, i, height, missed);
-                }
+            for line in 0..phase.lines(cells).0 {
+                largest = largest.max(self.line::<HOLES>(level, phase, line, coder));
             }
         }
+        largest
+    }
+
+    fn line<const HOLES: bool>(
+        &mut self,
+        level: u8,
+        phase: Phase,
+        line: usize,
+        coder: &mut impl Coder,
+    ) -> u32 {
+        let (step, cells, base) = (level_step(level), self.levels.cells(), self.base);
+        let vertices = phase.lines(cells).1;
+        let row = self.levels.predict(phase, line);
+        let (first, stride) = phase.samples(cells, line, step);
+        let mut line_of = Line::default();
+        let mut largest = 0;
+        for i in 0..vertices.min(LANES) {
+            let at = first + i * stride;
+            if HOLES && !self.vertex_has_data(level, phase, at, coder) {
+                let (x, y) = (at % PAGE_SAMPLES, at / PAGE_SAMPLES);
+                let fill = codec0::prediction(&self.page.heights, level, x, y);
+                self.page.heights[at] = fill;
+                line_of.heights[i] = fill.wrapping_sub(base);
+                continue;
+            }
+            let predicted = row.predicted[i];
+            let known = self.page.heights[at].wrapping_sub(base);
+            let missed = residual(coder, row.expected[i], known.wrapping_sub(predicted));
+            let height = predicted.wrapping_add(missed);
+            largest = largest.max(missed.unsigned_abs());
+            line_of.heights[i] = height;
+            line_of.residuals[i] = missed;
+            self.page.heights[at] = height.wrapping_add(base);
+        }
+        self.levels.put(phase, line, vertices, &line_of);
         largest
     }
 
@@ -379,9 +393,12 @@ impl Traversal {
         let step = level_step(level);
         for row in (0..PAGE_SAMPLES).step_by(step) {
             let row = &self.page.heights[row * PAGE_SAMPLES..][..PAGE_SAMPLES];
-            for &height in row.iter().step_by(step) {
-                codec0::check_height(self.page.id, i64::from(height))?;
-            }
+            let largest = row
+                .iter()
+                .step_by(step)
+                .fold(0, |most, height| height.unsigned_abs().max(most));
+            // Heights have magnitudes of at most 2^31, and their signs do not matter here.
+            codec0::check_height(self.page.id, i64::from(largest))?;
         }
         if self.page.has_holes() {
             self.check_range(step)?;
