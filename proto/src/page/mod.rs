@@ -7,13 +7,15 @@
 
 mod bounds;
 mod codec0;
+mod codec1;
 mod flat;
 #[cfg(test)]
 pub(crate) mod oracle;
 mod record;
 
 pub use bounds::{Bounds, BoxError, SquareErrors, square_index};
-pub use record::{Record, RecordHeader, RevisionDigest, revision};
+pub use codec1::{CodedBits, SymbolCounts};
+pub use record::{Codec, Record, RecordHeader, RevisionDigest, revision};
 
 use crate::err8::Err8;
 use crate::geometry::{PAGE_CELLS, PAGE_LEVELS, PAGE_SAMPLES, PAGE_SLOTS, PageId, Slot};
@@ -211,6 +213,8 @@ pub struct Page {
     /// `rest[k - 1]`: how far the surface may be from the mesh of parts `1..=k`.
     rest: [Err8; PAGE_LEVELS as usize],
     slots: Option<Box<[ChildSlot; PAGE_SLOTS]>>,
+    /// While parts of a dense record are missing: where the decoder stands.
+    stream: Option<codec1::Stream>,
 }
 
 impl Page {
@@ -250,6 +254,7 @@ impl Page {
             range: Range::EMPTY,
             rest: [Err8(0); PAGE_LEVELS as usize],
             slots,
+            stream: None,
         };
         for (i, &height) in page.heights.iter().enumerate() {
             if page.is_valid(i) {
@@ -278,6 +283,7 @@ impl Page {
             range: Range::EMPTY,
             rest: [Err8(0); PAGE_LEVELS as usize],
             slots: None,
+            stream: None,
         }
     }
 

@@ -9,7 +9,7 @@ use escarp_proto::err8::Err8;
 use escarp_proto::geometry::{
     GridLevels, PAGE_CELLS, PAGE_LEVELS, PAGE_SAMPLES, PAGE_SLOTS, PageId, Slot,
 };
-use escarp_proto::page::{ChildSlot, Kind, PAGE_AREA, Page, PageError, Range, Record};
+use escarp_proto::page::{ChildSlot, Codec, Kind, PAGE_AREA, Page, PageError, Range, Record};
 use rayon::prelude::*;
 use std::collections::HashMap;
 
@@ -115,6 +115,7 @@ impl Rows for MemoryRows<'_> {
 pub(crate) struct Level {
     grid: GridLevels,
     level: u8,
+    codec: Codec,
     /// Samples at this level's spacing.
     width: usize,
     height: usize,
@@ -293,11 +294,17 @@ struct Family {
 }
 
 impl Level {
-    pub(crate) fn new(grid: GridLevels, level: u8, width: u32, height: u32) -> Level {
+    pub(crate) fn new(
+        grid: GridLevels,
+        level: u8,
+        [width, height]: [u32; 2],
+        codec: Codec,
+    ) -> Level {
         let pages = |samples: u32| (samples as usize - 1).div_ceil(PAGE_CELLS).max(1);
         Level {
             grid,
             level,
+            codec,
             width: width as usize,
             height: height as usize,
             columns: pages(width),
@@ -308,8 +315,8 @@ impl Level {
     /// The level whose samples this one leaves; `None` above the root.
     pub(crate) fn above(&self) -> Option<Level> {
         let level = self.level.checked_sub(PAGE_LEVELS)?;
-        let (width, height) = (self.columns as u32 + 1, self.rows as u32 + 1);
-        Some(Level::new(self.grid, level, width, height))
+        let size = [self.columns as u32 + 1, self.rows as u32 + 1];
+        Some(Level::new(self.grid, level, size, self.codec))
     }
 
     /// Level of its pages.
@@ -449,7 +456,7 @@ impl Level {
     ) -> Result<(Option<Vec<u8>>, ChildSlot), PageError> {
         let (made, own) = self.page(band, page, band_row, slots)?;
         let is_stored = own.has_record() || page == PageId::ROOT;
-        let record = is_stored.then(|| Record::encode(&made).bytes().to_vec());
+        let record = is_stored.then(|| Record::encode(&made, self.codec).bytes().to_vec());
         Ok((record, own))
     }
 

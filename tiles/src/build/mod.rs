@@ -22,7 +22,7 @@ use crate::frame::georef_of;
 use checkpoint::Checkpoints;
 use escarp_proto::geometry::GridLevels;
 use escarp_proto::manifest::{FORMAT, FileCheck, Manifest, VERSION};
-use escarp_proto::page::PageError;
+use escarp_proto::page::{Codec, PageError};
 use level::MemoryRows;
 use std::path::{Path, PathBuf};
 use thiserror::Error;
@@ -60,6 +60,8 @@ pub enum BuildError {
 pub struct BuildOptions {
     /// Metres a unit of stored height.
     pub quantum: Quantum,
+    /// How records are coded.
+    pub codec: Codec,
     /// Replace what is published under the same name.
     pub overwrite: bool,
     /// Go on with what an unfinished build left behind, if it left anything.
@@ -78,6 +80,7 @@ impl Default for BuildOptions {
     fn default() -> Self {
         BuildOptions {
             quantum: Quantum::Natural,
+            codec: Codec::Dense,
             overwrite: false,
             resume: false,
             identity: Vec::new(),
@@ -126,7 +129,7 @@ pub fn build(
         height_range: None,
         georef: georef_of(&info, quantum_m),
         storage_error_m: 0.0,
-        codec: 0,
+        codec: options.codec as u8,
         pages: 0,
         segments: Vec::new(),
         index: FileCheck {
@@ -142,7 +145,8 @@ pub fn build(
         true => DatasetWriter::reopen(folder, options.overwrite)?,
         false => DatasetWriter::create(folder, options.overwrite)?,
     };
-    let finest = Level::new(grid, grid.finest_page_level(), info.width, info.height);
+    let size = [info.width, info.height];
+    let finest = Level::new(grid, grid.finest_page_level(), size, options.codec);
     let mut checkpoints = Checkpoints::open(&mut writer, &manifest, &options, finest)?;
     let mut rows = SourceRows::new(source, quantum_m);
     let written = write_pages(finest, &mut rows, &mut writer, &mut checkpoints, progress);

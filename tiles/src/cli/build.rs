@@ -9,6 +9,7 @@ use crate::dem::{Fills, OverlapReport};
 use crate::process;
 use anyhow::{Context, Result, anyhow};
 use clap::Args;
+use escarp_proto::page::Codec;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -43,6 +44,9 @@ pub(super) struct BuildArgs {
     /// Threads; default: one a core
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u16).range(..=1024))]
     jobs: u16,
+    /// How records are coded: 1 is small, 0 is simple, and for comparison
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(0..=1))]
+    codec: u8,
     /// Replace a dataset of this name
     #[arg(long)]
     overwrite: bool,
@@ -83,6 +87,7 @@ pub(super) fn run(args: &BuildArgs) -> Result<ExitCode> {
             (None, true) => Quantum::Lossless,
             (None, false) => Quantum::Natural,
         },
+        codec: Codec::from_u8(args.codec).unwrap_or(Codec::Dense),
         overwrite: args.overwrite,
         resume: args.resume,
         identity: identity(&inputs, &args.source),

@@ -1,5 +1,6 @@
 //! The command line of `escarp-tiles`.
 
+mod bench;
 mod build;
 mod compact;
 mod grid;
@@ -35,6 +36,7 @@ Examples:
   escarp-tiles build --input synth:size=100001,seed=1,spacing=1 -o large.escarp
   escarp-tiles update moon.escarp --with crater.tif        only what changed is written
   escarp-tiles verify moon.escarp --against moon.tif
+  escarp-tiles bench moon.tif --max-error 0,1,4,8
   escarp-tiles sample -o demo.tif --size 2048 --seed 7
 
 Exit codes: 0 done; 1 failed, or a bound does not hold; 2 wrong usage.";
@@ -51,6 +53,8 @@ enum Command {
     Info(info::InfoArgs),
     /// Check every checksum, and bounds by brute force
     Verify(verify::VerifyArgs),
+    /// Measure size and speed of the codec on DEM files, at several largest errors
+    Bench(bench::BenchArgs),
     /// Write a synthetic DEM: ridges, valleys, a lake, a cliff, detail
     Sample(SampleArgs),
 }
@@ -79,6 +83,7 @@ pub fn run(cli: Cli) -> Result<ExitCode> {
         Command::Compact(args) => compact::run(&args),
         Command::Info(args) => info::run(&args),
         Command::Verify(args) => verify::run(&args),
+        Command::Bench(args) => bench::run(&args),
         Command::Sample(args) => {
             crate::synth::write_geotiff(&args.output, args.size, args.seed)?;
             let (file, side) = (args.output.display(), args.size);

@@ -18,6 +18,7 @@ use crate::build::{BuildError, Level, Progress, Rows, SourceRows};
 use crate::dataset::{Dataset, DatasetWriter};
 use crate::dem::DemSource;
 use escarp_proto::manifest::Manifest;
+use escarp_proto::page::Codec;
 use escarp_proto::page::Range;
 use extremes::{End, extreme};
 use finest::{Finest, Patch, PatchBand, Sums, Wish, families, mend_finest};
@@ -86,8 +87,9 @@ pub fn update(
     let finest = Level::new(
         manifest.grid_levels,
         manifest.grid_levels.finest_page_level(),
-        width,
-        height,
+        [width, height],
+        // A manifest with another codec is refused when it is read.
+        Codec::from_u8(manifest.codec).unwrap_or(Codec::Dense),
     );
     let reach: Vec<Rectangle> = patches.iter().map(|patch| patch.place).collect();
     let reach = [reach, removed.clone()].concat();
