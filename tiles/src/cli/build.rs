@@ -18,8 +18,8 @@ const MOST_SOURCES: usize = 256;
 
 #[derive(Debug, Args)]
 pub(super) struct BuildArgs {
-    /// DEM files: GeoTIFF, SRTM .hgt and .hgt.zip, 8 and 16 bit greyscale PNG. Where several overlap, the one
-    /// named first counts
+    /// DEM files of any format that docs/tiles.md lists, told by content, gzip and zip around them;
+    /// folders of them; folders of tiles {z}/{x}/{y}.png
     #[arg(required = true, value_name = "INPUT")]
     inputs: Vec<PathBuf>,
     /// Dataset to make
