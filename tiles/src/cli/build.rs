@@ -20,8 +20,9 @@ const MOST_SOURCES: usize = 256;
 
 #[derive(Debug, Args)]
 pub(super) struct BuildArgs {
-    /// DEM files: GeoTIFF, SRTM .hgt and .hgt.zip, 8 and 16 bit greyscale PNG. Where several overlap, the one
-    /// named first counts. `synth:size=N,seed=N,spacing=M` is the synthetic DEM of N x N samples
+    /// DEM files of any format that docs/tiles.md lists, told by content, gzip and zip around them;
+    /// folders of them; folders of tiles {z}/{x}/{y}.png; `synth:size=N,seed=N,spacing=M`, the
+    /// synthetic DEM of N x N samples
     #[arg(required_unless_present = "more_inputs", value_name = "INPUT")]
     inputs: Vec<PathBuf>,
     /// One more input
