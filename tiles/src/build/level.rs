@@ -131,9 +131,9 @@ struct Bands {
 }
 
 impl Bands {
-    fn new(level: &Level) -> Bands {
+    fn new(level: &Level, most_ahead: usize) -> Bands {
         let now = Band::new(level);
-        let next = (now.samples.len() <= MOST_AHEAD).then(|| Band::new(level));
+        let next = (now.samples.len() <= most_ahead).then(|| Band::new(level));
         Bands { now, next }
     }
 
@@ -324,7 +324,7 @@ impl Level {
             bands_left: self.bands(),
         });
         let (mut above, bands_left) = (done.above, done.bands_left);
-        let mut bands = Bands::new(self);
+        let mut bands = Bands::new(self, MOST_AHEAD);
         if bands_left < self.bands() {
             let northern = (bands_left * FAMILY_CELLS) as u32;
             rows.read(northern, 1, bands.now.stride, &mut bands.now.samples)?;
@@ -444,6 +444,42 @@ impl Level {
             let kept = from.iter().step_by(PAGE_CELLS).take(above.width);
             for (out, &height) in above.heights[to * above.width..].iter_mut().zip(kept) {
                 *out = height;
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_band_is_the_same_whether_read_ahead_or_in_turn() {
+        let grid = GridLevels::new(12).unwrap();
+        let level = Level::new(grid, 8, 300, 900);
+        let above = Above {
+            width: 300,
+            height: 900,
+            heights: (0..300 * 900).collect(),
+            slots: Slots::new(1, 1),
+        };
+        let (mut ahead, mut in_turn) = (Bands::new(&level, usize::MAX), Bands::new(&level, 0));
+        let (mut rows, mut same_rows) = (MemoryRows::new(&above), MemoryRows::new(&above));
+        ahead.read(&level, 3, &mut rows).unwrap();
+        in_turn.read(&level, 3, &mut same_rows).unwrap();
+        for number in (0..4).rev() {
+            assert!(ahead.now.samples == in_turn.now.samples, "band {number}");
+            for (x, y) in [(0, 0), (299, 5), (17, 256), (300, 0), (4, 132)] {
+                let row = number * FAMILY_CELLS + y;
+                let inside = x < 300 && row < 900;
+                let height = inside.then_some((row * 300 + x) as i32);
+                assert_eq!(ahead.now.sample(x, y), height, "band {number}: {x}, {y}");
+            }
+            if let Some(below) = number.checked_sub(1) {
+                let next = ahead.next.as_mut().unwrap();
+                next.fill(&level, below, &ahead.now, &mut rows).unwrap();
+                ahead.advance(&level, below, &mut rows).unwrap();
+                in_turn.advance(&level, below, &mut same_rows).unwrap();
             }
         }
     }

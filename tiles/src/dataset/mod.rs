@@ -9,6 +9,7 @@
 mod current;
 mod error;
 mod family;
+mod figures;
 mod files;
 mod index;
 mod journal;
@@ -19,6 +20,7 @@ mod write;
 pub use current::{Current, current_path};
 pub use error::DatasetError;
 pub use family::{FamilyId, FamilyTable, StoredRecord};
+pub use figures::Figures;
 pub use files::{Unfinished, unfinished};
 pub use index::IndexEntry;
 pub(crate) use journal::{Journal, MAX_ENTRY_BYTES};
