@@ -389,6 +389,9 @@ impl Level {
                 continue;
             };
             id = FamilyId::of(page);
+            if page != PageId::ROOT && Self::is_void(band, page, dy, slots) {
+                continue;
+            }
             let (made, own) = self.page(band, page, dy, slots)?;
             if own.has_record() || page == PageId::ROOT {
                 records.push((slot, Record::encode(&made).bytes().to_vec()));
@@ -399,6 +402,22 @@ impl Level {
             bytes: FamilyBytes::encode(id, &records),
             slots: left,
         })
+    }
+
+    /// Whether nothing is in a page, nor below it: then it is empty, which slots are from the start.
+    fn is_void(band: &Band, page: PageId, band_row: usize, slots: Option<&Slots>) -> bool {
+        let (x, y) = (page.square().x as usize * PAGE_CELLS, band_row * PAGE_CELLS);
+        let rows = band.samples.chunks_exact(band.stride).skip(y);
+        let samples = rows
+            .take(PAGE_SAMPLES)
+            .flat_map(|row| &row[x..][..PAGE_SAMPLES]);
+        let row = page.square().y as usize * PAGE_CELLS;
+        samples.copied().all(|height| height == HOLE)
+            && slots.is_none_or(|slots| {
+                let below = (0..PAGE_SLOTS).map(|i| Slot::from_index(i as u8).position());
+                let kinds = below.map(|(dx, dy)| slots.get(x + dx, row + dy).kind());
+                kinds.into_iter().all(|kind| kind == Kind::Empty)
+            })
     }
 
     fn page(
