@@ -457,14 +457,12 @@ pub(super) fn of_whole(page: &Page) -> ([Err8; PAGE_LEVELS as usize], ChildSlot)
         let bounds = Bounds::derive(page, None);
         return (bounds.rest_errors(), bounds.slot());
     }
-    // By level; each square's bound is at least that of what it splits into.
-    let mut largest = [0; PAGE_LEVELS as usize + 1];
-    full::squares(page, |(level, ..), _, own| {
-        largest[level as usize] = own.largest().max(largest[level as usize]);
-    });
-    for level in (0..PAGE_LEVELS as usize).rev() {
-        largest[level] = largest[level].max(largest[level + 1]);
-    }
+    // Each square's bound is at least that of what it splits into.
+    let [mut root, mut one, mut two, three] = full::largest(page);
+    two = two.max(three);
+    one = one.max(two);
+    root = root.max(one);
+    let largest = [root, one, two, three, 0];
     let codes = largest.map(|error| covering(error.min(u64::from(MAX_SPAN)) as u32));
     let [root, rest @ ..] = codes;
     (rest, ChildSlot::Full(root))

@@ -143,9 +143,9 @@ struct Bands {
 }
 
 impl Bands {
-    fn new(level: &Level) -> Bands {
+    fn new(level: &Level, most_ahead: usize) -> Bands {
         let now = Band::new(level);
-        let next = (now.samples.len() <= MOST_AHEAD).then(|| Band::new(level));
+        let next = (now.samples.len() <= most_ahead).then(|| Band::new(level));
         Bands { now, next }
     }
 
@@ -363,7 +363,7 @@ impl Level {
             bands_left: self.bands(),
         });
         let (mut above, bands_left) = (done.above, done.bands_left);
-        let mut bands = Bands::new(self);
+        let mut bands = Bands::new(self, MOST_AHEAD);
         if bands_left < self.bands() {
             let northern = (bands_left * FAMILY_CELLS) as u32;
             rows.read(northern, 1, bands.now.stride, &mut bands.now.samples)?;
@@ -436,6 +436,9 @@ impl Level {
                 continue;
             };
             id = FamilyId::of(page);
+            if page != PageId::ROOT && Self::is_void(band, page, dy, slots) {
+                continue;
+            }
             let (record, own) = self.record(band, page, dy, slots)?;
             records.extend(record.map(|record| (slot, record)));
             left.push((x, y, own));
@@ -458,6 +461,23 @@ impl Level {
         let is_stored = own.has_record() || page == PageId::ROOT;
         let record = is_stored.then(|| Record::encode(&made, self.codec).bytes().to_vec());
         Ok((record, own))
+    }
+
+    /// Whether nothing is in a page, nor below it: then it is empty, which slots are from the start.
+    fn is_void(band: &Band, page: PageId, band_row: usize, slots: Option<&Slots>) -> bool {
+        let (x, y) = (page.square().x as usize * PAGE_CELLS, band_row * PAGE_CELLS);
+        let west = x - band.west;
+        let rows = band.samples.chunks_exact(band.stride).skip(y);
+        let samples = rows
+            .take(PAGE_SAMPLES)
+            .flat_map(|row| &row[west..][..PAGE_SAMPLES]);
+        let row = page.square().y as usize * PAGE_CELLS;
+        samples.copied().all(|height| height == HOLE)
+            && slots.is_none_or(|slots| {
+                let below = (0..PAGE_SLOTS).map(|i| Slot::from_index(i as u8).position());
+                let kinds = below.map(|(dx, dy)| slots.get(x + dx, row + dy).kind());
+                kinds.into_iter().all(|kind| kind == Kind::Empty)
+            })
     }
 
     fn page(
@@ -509,6 +529,42 @@ impl Level {
             let kept = from.iter().step_by(PAGE_CELLS).take(above.width);
             for (out, &height) in above.heights[to * above.width..].iter_mut().zip(kept) {
                 *out = height;
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_band_is_the_same_whether_read_ahead_or_in_turn() {
+        let grid = GridLevels::new(12).unwrap();
+        let level = Level::new(grid, 8, 300, 900);
+        let above = Above {
+            width: 300,
+            height: 900,
+            heights: (0..300 * 900).collect(),
+            slots: Slots::new(1, 1),
+        };
+        let (mut ahead, mut in_turn) = (Bands::new(&level, usize::MAX), Bands::new(&level, 0));
+        let (mut rows, mut same_rows) = (MemoryRows::new(&above), MemoryRows::new(&above));
+        ahead.read(&level, 3, &mut rows).unwrap();
+        in_turn.read(&level, 3, &mut same_rows).unwrap();
+        for number in (0..4).rev() {
+            assert!(ahead.now.samples == in_turn.now.samples, "band {number}");
+            for (x, y) in [(0, 0), (299, 5), (17, 256), (300, 0), (4, 132)] {
+                let row = number * FAMILY_CELLS + y;
+                let inside = x < 300 && row < 900;
+                let height = inside.then_some((row * 300 + x) as i32);
+                assert_eq!(ahead.now.sample(x, y), height, "band {number}: {x}, {y}");
+            }
+            if let Some(below) = number.checked_sub(1) {
+                let next = ahead.next.as_mut().unwrap();
+                next.fill(&level, below, &ahead.now, &mut rows).unwrap();
+                ahead.advance(&level, below, &mut rows).unwrap();
+                in_turn.advance(&level, below, &mut same_rows).unwrap();
             }
         }
     }

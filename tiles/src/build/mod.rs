@@ -3,8 +3,8 @@
 //! The finest pages are made band by band, 256 rows of cells at a time, from north to south as
 //! the rows come. Each band's families are encoded on all cores. What a band leaves behind is one
 //! height and one child slot a page: the samples and slots of the level above, a 256th in size.
-//! The levels above are then made in the same way from memory. Memory is bounded by two bands and
-//! a few bytes for each finest page; nothing is written but the dataset itself.
+//! The levels above are then made in the same way from memory. The next band is read meanwhile.
+//! Memory is bounded by two bands and a few bytes for each finest page; nothing is written but the dataset itself.
 
 mod checkpoint;
 mod level;
@@ -204,4 +204,41 @@ fn write_pages(
         )?;
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::synth::SynthSource;
+    use std::collections::BTreeMap;
+    use std::fs;
+
+    /// All files of a dataset of synthetic terrain, made by so many threads.
+    fn made_by(jobs: usize) -> BTreeMap<String, Vec<u8>> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("made.escarp");
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(jobs);
+        let mut source = SynthSource::new(900, 3);
+        let built = pool.build().unwrap().install(|| {
+            let options = BuildOptions::default();
+            build(&mut source, &path, Vec::new(), options, &|_, _| {})
+        });
+        assert_eq!(built.unwrap().valid_samples, 810_000);
+        let files = fs::read_dir(&path).unwrap().map(|file| file.unwrap());
+        files
+            .map(|file| {
+                let name = file.file_name().into_string().unwrap();
+                (name, fs::read(file.path()).unwrap())
+            })
+            .collect()
+    }
+
+    #[test]
+    fn the_bytes_are_the_same_whatever_the_number_of_threads() {
+        let one = made_by(1);
+        assert!(one["seg-1-0"].len() > 100_000);
+        for jobs in [2, 3, 7] {
+            assert!(made_by(jobs) == one, "{jobs} threads make other bytes");
+        }
+    }
 }

@@ -157,42 +157,106 @@ impl Rows for SourceRows<'_> {
     }
 }
 
+/// Heights that are quantised together.
+const LANES: usize = 8;
+
+/// Running results of [`quantise_row`], one a lane, so that lanes need not wait for each other.
+#[derive(Clone, Copy)]
+struct Lane {
+    lo: i32,
+    hi: i32,
+    holes: i32,
+    off: f64,
+    farthest: f64,
+}
+
 /// `None` if a height does not fit.
 fn quantise_row(row: &[f64], quantum_m: f64, out: &mut [i32]) -> Option<Stored> {
-    let (mut lo, mut hi, mut valid, mut farthest) = (i32::MAX, i32::MIN, 0_u64, 0);
-    let mut largest: f64 = 0.0;
-    // No branches, so that several are done at once.
-    for (out, &metres) in out.iter_mut().zip(row) {
-        let hole = metres.is_nan();
-        let units = nearest(metres / quantum_m);
-        *out = if hole { HOLE } else { units };
-        lo = lo.min(if hole { i32::MAX } else { units });
-        hi = hi.max(if hole { i32::MIN } else { units });
-        farthest = farthest.max(units.unsigned_abs());
-        valid += u64::from(!hole);
-        let off = (f64::from(units) * quantum_m - metres).abs();
-        largest = if off > largest { off } else { largest };
+    let mut lanes = [Lane::NOTHING; LANES];
+    let (chunks, rest) = row.as_chunks::<LANES>();
+    let (out_chunks, out_rest) = out.as_chunks_mut::<LANES>();
+    for (out, row) in out_chunks.iter_mut().zip(chunks) {
+        for i in 0..LANES {
+            out[i] = lanes[i].take(row[i], quantum_m);
+        }
     }
-    if farthest > MAX_HEIGHT as u32 {
+    for (out, &metres) in out_rest.iter_mut().zip(rest) {
+        *out = lanes[0].take(metres, quantum_m);
+    }
+    let all = lanes.into_iter().fold(Lane::NOTHING, Lane::merge);
+    if all.farthest > f64::from(MAX_HEIGHT) {
         return None;
     }
+    let valid = row.len() as u64 - u64::from(all.holes.unsigned_abs());
     // The difference itself was rounded; what it can hide is far below a unit in the last place
     // of the largest height.
-    let hidden = f64::from(hi.max(0).max(lo.saturating_neg())) * quantum_m * f64::EPSILON;
+    let most = all.hi.max(0).max(all.lo.saturating_neg());
+    let hidden = f64::from(most) * quantum_m * f64::EPSILON;
     Some(Stored {
         valid_samples: valid,
-        range: (valid > 0).then_some([lo, hi]),
-        largest_error_m: if largest > 0.0 { largest + hidden } else { 0.0 },
+        range: (valid > 0).then_some([all.lo, all.hi]),
+        largest_error_m: if all.off > 0.0 { all.off + hidden } else { 0.0 },
     })
 }
 
-/// The nearest whole number, halves away from zero, as `f64::round` has it; 0 for NaN, and the
-/// nearest that there is for numbers beyond.
-fn nearest(v: f64) -> i32 {
-    let whole = v as i32;
-    let rest = v - f64::from(whole);
-    let more = i32::from(rest >= 0.5) - i32::from(rest <= -0.5);
-    whole.saturating_add(more)
+impl Lane {
+    const NOTHING: Lane = Lane {
+        lo: i32::MAX,
+        hi: i32::MIN,
+        holes: 0,
+        off: 0.0,
+        farthest: 0.0,
+    };
+
+    /// A height in quanta; what it is beyond the limit does not matter. No branches.
+    #[inline(always)]
+    fn take(&mut self, metres: f64, quantum_m: f64) -> i32 {
+        let hole = metres.is_nan();
+        let nearest = nearest(metres / quantum_m);
+        let units = whole(nearest);
+        self.lo = self.lo.min(if hole { i32::MAX } else { units });
+        self.hi = self.hi.max(if hole { i32::MIN } else { units });
+        self.holes += i32::from(hole);
+        let (off, far) = ((nearest * quantum_m - metres).abs(), nearest.abs());
+        // Comparisons with what is no number are false.
+        self.off = if off > self.off { off } else { self.off };
+        self.farthest = if far > self.farthest {
+            far
+        } else {
+            self.farthest
+        };
+        if hole { HOLE } else { units }
+    }
+
+    fn merge(self, other: Lane) -> Lane {
+        Lane {
+            lo: self.lo.min(other.lo),
+            hi: self.hi.max(other.hi),
+            holes: self.holes + other.holes,
+            off: self.off.max(other.off),
+            farthest: self.farthest.max(other.farthest),
+        }
+    }
+}
+
+/// Added to a number up to `2^51`, this leaves no room for a fraction.
+const NO_FRACTION: f64 = 6_755_399_441_055_744.0;
+
+/// The nearest whole number, halves away from zero, as `f64::round` has it for all that can be
+/// heights; in parts that the processor has for several numbers at once.
+fn nearest(v: f64) -> f64 {
+    // Halves go to the even side here.
+    let whole = (v + NO_FRACTION) - NO_FRACTION;
+    let rest = v - whole;
+    let up = if rest == 0.5 && v > 0.0 { 1.0 } else { 0.0 };
+    let down = if rest == -0.5 && v < 0.0 { 1.0 } else { 0.0 };
+    let small = v.abs() < 2_147_483_648.0;
+    if small { whole + up - down } else { v }
+}
+
+/// A whole number below `2^31` as an integer: the lower bits of the sum are its own.
+fn whole(nearest: f64) -> i32 {
+    (nearest + NO_FRACTION).to_bits() as i32
 }
 
 #[cfg(test)]
@@ -204,7 +268,8 @@ mod tests {
         #[test]
         fn the_nearest_whole_number_is_that_of_the_library(v in -2e9..2e9f64, halves in -1000i32..1000) {
             for v in [v, f64::from(halves) / 2.0, f64::from(halves) / 2.0 * (1.0 - f64::EPSILON)] {
-                prop_assert_eq!(f64::from(nearest(v)), v.round());
+                prop_assert_eq!(nearest(v), v.round());
+                prop_assert_eq!(f64::from(whole(nearest(v))), v.round());
             }
         }
     }

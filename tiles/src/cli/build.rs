@@ -4,7 +4,7 @@ use super::progress::Progress;
 use super::resume::{announce, identity, kept};
 use super::source::SourceArgs;
 use crate::build::{BuildOptions, CHECKPOINT_SAMPLES, Quantum, build};
-use crate::dataset::Dataset;
+use crate::dataset::{Dataset, Figures};
 use crate::dem::{Fills, OverlapReport};
 use crate::process;
 use anyhow::{Context, Result, anyhow};
@@ -114,9 +114,22 @@ pub(super) fn run(args: &BuildArgs) -> Result<ExitCode> {
     let manifest = manifest.map_err(|error| with_note(error.into(), &args.output))?;
     let overlaps = source.overlaps();
     let fills = source.fills().cloned();
-    let bytes = Dataset::open(&args.output)?.total_bytes();
+    let dataset = Dataset::open(&args.output)?;
+    let bytes = dataset.total_bytes();
     let samples = u64::from(manifest.samples[0]) * u64::from(manifest.samples[1]);
-    let (wall_s, usage) = (started.elapsed().as_secs_f64(), process::usage());
+    let wall_s = started.elapsed().as_secs_f64();
+    let usage = process::usage();
+    let figures = usage.map(|usage| Figures {
+        wall_s,
+        cpu_s: usage.cpu_s,
+        peak_memory_bytes: usage.peak_memory_bytes,
+        jobs: rayon::current_num_threads(),
+        // The CPU time of the runs before is not known.
+        samples_a_cpu_s: (!args.resume).then(|| samples as f64 / usage.cpu_s.max(1e-2)),
+    });
+    if let Some(figures) = figures {
+        figures.keep(&dataset)?;
+    }
     if args.json {
         let summary = json!({
             "samples": samples, "valid_samples": manifest.valid_samples, "pages": manifest.pages,
@@ -161,13 +174,8 @@ pub(super) fn run(args: &BuildArgs) -> Result<ExitCode> {
     if let Some(overlaps) = overlaps {
         print_overlaps(&overlaps);
     }
-    match usage {
-        Some(usage) => println!(
-            "{wall_s:.1} s, {:.1} s CPU, {:.1} million samples a CPU second, peak memory {:.0} MB",
-            usage.cpu_s,
-            samples as f64 / 1e6 / usage.cpu_s.max(1e-3),
-            usage.peak_memory_bytes as f64 / 1e6
-        ),
+    match figures {
+        Some(figures) => println!("{figures}"),
         None => println!("{wall_s:.1} s"),
     }
     Ok(ExitCode::SUCCESS)

@@ -1,6 +1,6 @@
 //! `escarp-tiles info`.
 
-use crate::dataset::Dataset;
+use crate::dataset::{Dataset, Figures};
 use anyhow::Result;
 use clap::Args;
 use escarp_proto::georef::Plane;
@@ -29,7 +29,7 @@ pub(super) fn run(args: &InfoArgs) -> Result<ExitCode> {
     if args.json {
         let info = json!({
             "name": dataset.name(), "bytes": bytes, "bits_a_sample": bits,
-            "extent_m": extent, "manifest": manifest,
+            "extent_m": extent, "manifest": manifest, "build": Figures::of(&dataset),
         });
         println!("{info:#}");
         return Ok(ExitCode::SUCCESS);
@@ -73,6 +73,9 @@ pub(super) fn run(args: &InfoArgs) -> Result<ExitCode> {
         manifest.segments.len()
     );
     println!("sources     {}", manifest.sources.join(", "));
+    if let Some(figures) = Figures::of(&dataset) {
+        println!("build       {figures}");
+    }
     Ok(ExitCode::SUCCESS)
 }
 

@@ -9,6 +9,7 @@
 mod current;
 mod error;
 mod family;
+mod figures;
 mod files;
 mod filled;
 mod index;
@@ -20,6 +21,7 @@ mod write;
 pub use current::{Current, current_path};
 pub use error::DatasetError;
 pub use family::{FamilyId, FamilyTable, StoredRecord};
+pub use figures::Figures;
 pub use files::{Unfinished, disk_bytes, generations, unfinished};
 pub use filled::{FilledRun, FilledRuns};
 pub use index::IndexEntry;

@@ -7,7 +7,7 @@
 //! Results are those of the plain derivation, bit by bit (`page::oracle`).
 
 use super::{BoxError, capped};
-use crate::geometry::{PAGE_LEVELS, PAGE_SAMPLES, Quadrant};
+use crate::geometry::{PAGE_CELLS, PAGE_LEVELS, PAGE_SAMPLES, Quadrant};
 use crate::page::{Kind, PAGE_AREA, Page, Range, level_step};
 use std::ops::{Add, Shr, Sub};
 
@@ -35,18 +35,16 @@ pub(super) struct Own {
     pub(super) halves: [u64; 2],
 }
 
+fn round_up<T: Whole>(scaled: T) -> u64 {
+    (scaled.into() as u64).div_ceil(1 << SCALE)
+}
+
 impl Own {
     fn of<T: Whole>((edges, halves): ([T; 4], [T; 2])) -> Own {
-        let round_up = |scaled: T| (scaled.into() as u64).div_ceil(1 << SCALE);
         Own {
             edges: edges.map(round_up),
             halves: halves.map(round_up),
         }
-    }
-
-    pub(super) fn largest(&self) -> u64 {
-        let all = self.edges.iter().chain(&self.halves);
-        all.copied().fold(0, u64::max)
     }
 }
 
@@ -140,6 +138,106 @@ fn levels<T: Whole>(
             }
         }
     }
+}
+
+/// The largest deviation of each level's two meshes, in quanta, rounded up: of the mesh of its
+/// squares' edge triangles, and of that of their halves.
+pub(super) fn largest(page: &Page) -> [u64; PAGE_LEVELS as usize] {
+    let root = page.id().square();
+    let rises = Quadrant::of(root.x, root.y).rises();
+    let (lo, hi) = range(&page.heights);
+    let lower = |height: i32| i64::from(height) - i64::from(lo);
+    if lower(hi) < SMALL_SPAN {
+        let scaled = page.heights.map(|height| height.wrapping_sub(lo) << SCALE);
+        largest_of(&scaled, rises)
+    } else {
+        largest_of(&page.heights.map(|height| lower(height) << SCALE), rises)
+    }
+}
+
+fn largest_of<T: Whole>(heights: &[T; PAGE_AREA], rises: bool) -> [u64; PAGE_LEVELS as usize] {
+    let mut scaled = [
+        largest_of_level::<T, 16>(heights, rises),
+        largest_of_level::<T, 8>(heights, rises),
+        largest_of_level::<T, 4>(heights, rises),
+        T::default(),
+    ];
+    let pairs = || (0..PAGE_CELLS).step_by(2);
+    for (row, column) in pairs().flat_map(|row| pairs().map(move |column| (row, column))) {
+        let rises = (row / 2 + column / 2).is_multiple_of(2);
+        let (_, [south, north]) = smallest(heights, row * ROW + column, rises);
+        scaled[3] = scaled[3].max(south).max(north);
+    }
+    scaled.map(round_up)
+}
+
+/// Both meshes of a level whose squares are `SIDE` cells a side, row by row: each row of a mesh is
+/// made of straight pieces.
+fn largest_of_level<T: Whole, const SIDE: usize>(heights: &[T; PAGE_AREA], root_rises: bool) -> T {
+    let shift = SIDE.ilog2();
+    let mut largest = [T::default(); ROW];
+    let (mut edges, mut halves) = ([T::default(); ROW], [T::default(); ROW]);
+    for south in (0..PAGE_CELLS).step_by(SIDE) {
+        // Between two rows of squares both have the same mesh.
+        let last = if south + SIDE == PAGE_CELLS {
+            SIDE
+        } else {
+            SIDE - 1
+        };
+        for v in 0..=last {
+            for west in (0..PAGE_CELLS).step_by(SIDE) {
+                let sw = south * ROW + west;
+                let corners = [sw, sw + SIDE, sw + SIDE * ROW, sw + SIDE * ROW + SIDE];
+                let [sw, se, nw, ne] = corners.map(|at| heights[at]);
+                let middle = heights[(south + SIDE / 2) * ROW + west + SIDE / 2];
+                let up = (nw - sw) >> shift;
+                let start = sw + times(up, v);
+                let (below, above) = ((se - sw) >> shift, (ne - nw) >> shift);
+                let inwards = ((middle - sw) + (middle - nw)) >> shift;
+                let outwards = ((se - middle) + (ne - middle)) >> shift;
+                let cut = v.min(SIDE - v);
+                let along = if 2 * v <= SIDE { below } else { above };
+                let pieces = [(cut, inwards), (SIDE - 2 * cut, along), (cut, outwards)];
+                straight(&mut edges[west..=west + SIDE], start, pieces);
+                let rises = match SIDE {
+                    PAGE_CELLS => root_rises,
+                    _ => (south / SIDE + west / SIDE).is_multiple_of(2),
+                };
+                let pieces = match rises {
+                    true => [(v, above), (SIDE - v, below), (0, below)],
+                    false => [(SIDE - v, below), (v, above), (0, below)],
+                };
+                straight(&mut halves[west..=west + SIDE], start, pieces);
+            }
+            let row = &heights[(south + v) * ROW..][..ROW];
+            for (((largest, &height), &a), &b) in
+                largest.iter_mut().zip(row).zip(&edges).zip(&halves)
+            {
+                *largest = (*largest).max(apart(height, a)).max(apart(height, b));
+            }
+        }
+    }
+    largest.into_iter().fold(T::default(), T::max)
+}
+
+/// Fills a row with pieces of so many cells, each with a step from sample to sample.
+fn straight<T: Whole>(out: &mut [T], start: T, pieces: [(usize, T); 3]) {
+    let mut at = start;
+    let mut samples = out.iter_mut();
+    for (cells, step) in pieces {
+        for sample in samples.by_ref().take(cells) {
+            *sample = at;
+            at = at + step;
+        }
+    }
+    for sample in samples {
+        *sample = at;
+    }
+}
+
+/// `step * times`, for a few times.
+fn times<T: Whole>(step: T, times: usize) -> T {
+    (0..times).fold(T::default(), |sum, _| sum + step)
 }
 
 fn apart<T: Whole>(a: T, b: T) -> T {
