@@ -73,11 +73,14 @@ fn bounds(place: Rectangle) -> [f64; 4] {
     ]
 }
 
-/// Patches, each with its heights; and removed rectangles.
+/// Patches, each with its heights.
+type Patches = Vec<(Rectangle, Heights)>;
+
+/// Patches and removed rectangles.
 struct Case {
     size: [u32; 2],
     base: Heights,
-    patches: Vec<(Rectangle, Heights)>,
+    patches: Patches,
     removed: Vec<Rectangle>,
 }
 
@@ -226,7 +229,7 @@ fn removed_rectangles_become_holes_except_where_a_patch_has_data() {
 fn a_dataset_can_be_filled_emptied_and_filled_again() {
     let size = [300, 280];
     let data = TempDataset::of(size[0], size[1], hills);
-    let steps: [(Vec<(Rectangle, Heights)>, Vec<Rectangle>); 4] = [
+    let steps: [(Patches, Vec<Rectangle>); 4] = [
         (vec![([5, 5, 9, 9], terrace)], vec![[0, 0, 299, 279]]),
         (vec![([0, 0, 299, 279], holed_hills)], vec![]),
         (vec![([0, 0, 299, 279], terrace)], vec![]),

@@ -2,6 +2,7 @@
 
 mod build;
 mod compact;
+mod diff;
 mod grid;
 mod info;
 mod input;
@@ -9,6 +10,7 @@ mod mosaic;
 mod progress;
 mod resume;
 mod source;
+mod survey;
 mod update;
 mod verify;
 
@@ -36,7 +38,7 @@ Examples:
   escarp-tiles verify moon.escarp --against moon.tif
   escarp-tiles sample -o demo.tif --size 2048 --seed 7
 
-Exit codes: 0 done; 1 failed, or a bound does not hold; 2 wrong usage.";
+Exit codes: 0 done; 1 failed, or a bound does not hold, or two datasets differ; 2 wrong usage.";
 
 #[derive(Debug, Subcommand)]
 enum Command {
@@ -48,8 +50,10 @@ enum Command {
     Compact(compact::CompactArgs),
     /// Say what a dataset holds
     Info(info::InfoArgs),
-    /// Check every checksum, and bounds by brute force
+    /// Check checksums, borders of pages, and bounds by brute force
     Verify(verify::VerifyArgs),
+    /// Say how two datasets, or two generations of one, differ
+    Diff(diff::DiffArgs),
     /// Write a synthetic DEM: ridges, valleys, a lake, a cliff, detail
     Sample(SampleArgs),
 }
@@ -78,6 +82,7 @@ pub fn run(cli: Cli) -> Result<ExitCode> {
         Command::Compact(args) => compact::run(&args),
         Command::Info(args) => info::run(&args),
         Command::Verify(args) => verify::run(&args),
+        Command::Diff(args) => diff::run(&args),
         Command::Sample(args) => {
             crate::synth::write_geotiff(&args.output, args.size, args.seed)?;
             let (file, side) = (args.output.display(), args.size);

@@ -132,7 +132,7 @@ pub(super) fn mend_finest(
             continue;
         }
         mark(level, (x, y), &mut dirty);
-        if x % PAGE_CELLS == 0 && y % PAGE_CELLS == 0 {
+        if x.is_multiple_of(PAGE_CELLS) && y.is_multiple_of(PAGE_CELLS) {
             let corner = ((x / PAGE_CELLS) as u32, (y / PAGE_CELLS) as u32);
             corners.push((corner, new));
         }
