@@ -40,6 +40,7 @@ impl<F: Fn(u32, u32) -> f64 + Send> FunctionSource<F> {
             sample_type: SampleType::I32,
             height_step_m: 1.0,
             nodata: None,
+            vertical: None,
         };
         FunctionSource {
             info,

@@ -4,6 +4,8 @@
 
 pub mod dem;
 
+pub mod crs;
+
 pub mod synth;
 
 pub mod frame;

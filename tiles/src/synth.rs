@@ -393,6 +393,7 @@ impl SynthSource {
             sample_type: SampleType::I32,
             height_step_m: 0.01,
             nodata: None,
+            vertical: None,
         };
         Self { info, seed }
     }

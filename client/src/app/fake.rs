@@ -207,5 +207,7 @@ pub(crate) fn manifest(
             crc32c: 0,
         },
         sources: vec!["a formula".into()],
+        filled: None,
+        tolerances: Vec::new(),
     }
 }

@@ -131,5 +131,7 @@ fn manifest() -> Manifest {
             crc32c: 0,
         },
         sources: vec!["fake.tif".into()],
+        filled: None,
+        tolerances: Vec::new(),
     }
 }

@@ -16,8 +16,8 @@ pub(crate) use quantise::HOLE;
 pub use quantise::{Quantum, choose_quantum};
 pub(crate) use rows::{Rows, SourceRows};
 
-use crate::dataset::{DatasetError, DatasetWriter};
-use crate::dem::{DemError, DemSource};
+use crate::dataset::{DatasetError, DatasetWriter, FilledRun, FilledRuns};
+use crate::dem::{self, DemError, DemSource, Fills};
 use crate::frame::georef_of;
 use checkpoint::Checkpoints;
 use escarp_proto::geometry::GridLevels;
@@ -134,6 +134,8 @@ pub fn build(
             crc32c: 0,
         },
         sources,
+        filled: None,
+        tolerances: Vec::new(),
     };
     manifest.check().map_err(unfit)?;
     let mut writer = match options.resume {
@@ -154,10 +156,24 @@ pub fn build(
         writer.keep_unfinished(false);
         return Err(unfit("no sample has data: every one is a hole".into()));
     }
+    manifest.filled = match source.fills() {
+        Some(fills) => writer.write_filled(&grid_runs(fills, info.height))?,
+        None => None,
+    };
     manifest.valid_samples = stored.valid_samples;
     manifest.height_range = stored.range;
     manifest.storage_error_m = stored.largest_error_m;
     Ok(writer.publish(manifest)?)
+}
+
+/// Filled samples by grid rows, which are counted from the south.
+fn grid_runs(fills: &Fills, height: u32) -> FilledRuns {
+    let run = |run: &dem::FilledRun| FilledRun {
+        y: height - 1 - run.row,
+        x: run.column,
+        length: run.length,
+    };
+    FilledRuns::new(fills.runs.iter().map(run).collect())
 }
 
 /// Makes the pages of all levels, finest first.

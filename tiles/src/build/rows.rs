@@ -13,6 +13,12 @@ pub(crate) trait Rows {
     /// southern row first; all of them lie within the data.
     fn read(&mut self, first: u32, n: u32, out: &mut [i32]) -> Result<(), BuildError>;
 
+    /// Whether rows `first..first + n` may hold a height: if not, they need not be read.
+    fn may_have_data(&self, first: u32, n: u32) -> bool {
+        let _ = (first, n);
+        true
+    }
+
     /// What was stored of the rows read so far, where that is counted.
     fn stored(&self) -> Option<Stored> {
         None
@@ -92,6 +98,11 @@ impl<'a> SourceRows<'a> {
 }
 
 impl Rows for SourceRows<'_> {
+    fn may_have_data(&self, first: u32, n: u32) -> bool {
+        let first_row = self.source.info().height - first - n;
+        !self.source.data_columns(first_row, n).is_empty()
+    }
+
     fn stored(&self) -> Option<Stored> {
         Some(self.stored)
     }

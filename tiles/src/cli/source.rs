@@ -3,7 +3,7 @@
 use super::grid::GridArgs;
 use super::input::InputArgs;
 use super::mosaic::MosaicArgs;
-use crate::dem::DemSource;
+use crate::dem::{DemSource, expand};
 use anyhow::Result;
 use clap::Args;
 use std::path::PathBuf;
@@ -20,9 +20,16 @@ pub(super) struct SourceArgs {
 }
 
 impl SourceArgs {
-    /// Opens the inputs, joins them, and brings them to the dataset's grid.
+    /// Whether of overlapping inputs the one named last counts.
+    pub(super) fn is_last_first(&self) -> bool {
+        self.mosaic.is_last_first()
+    }
+
+    /// Opens the inputs, joins them, brings them to the dataset's grid, and fills voids.
     pub(super) fn open(&self, inputs: &[PathBuf]) -> Result<Box<dyn DemSource>> {
-        let joined = self.mosaic.join(inputs, &self.input.options())?;
-        self.grid.place(joined)
+        let inputs = expand(inputs)?;
+        let joined = self.mosaic.join(&inputs, &self.input.options())?;
+        let placed = self.grid.place(joined)?;
+        self.mosaic.fill(placed)
     }
 }

@@ -99,8 +99,8 @@ fn print(report: &VerifyReport, against: Option<Against>, allowed_m: f64) {
             found.samples, found.largest_difference_m
         );
         println!(
-            "            {} samples missing, {} invented",
-            found.missing, found.invented
+            "            {} samples missing, {} filled, {} invented",
+            found.missing, found.filled, found.invented
         );
     }
 }

@@ -6,7 +6,14 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// What the names of files of a generation start with.
-const PREFIXES: [&str; 5] = ["manifest-", "index-", "seg-", "resume-", "build-"];
+const PREFIXES: [&str; 6] = [
+    "manifest-",
+    "index-",
+    "seg-",
+    "filled-",
+    "resume-",
+    "build-",
+];
 
 /// What an unfinished build left in a folder.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -10,6 +10,7 @@ mod current;
 mod error;
 mod family;
 mod files;
+mod filled;
 mod index;
 mod journal;
 mod map;
@@ -20,6 +21,7 @@ pub use current::{Current, current_path};
 pub use error::DatasetError;
 pub use family::{FamilyId, FamilyTable, StoredRecord};
 pub use files::{Unfinished, disk_bytes, generations, unfinished};
+pub use filled::{FilledRun, FilledRuns};
 pub use index::IndexEntry;
 pub(crate) use journal::{Journal, MAX_ENTRY_BYTES};
 pub use read::PageReader;
@@ -131,7 +133,16 @@ impl Dataset {
             .iter()
             .map(|segment| segment.bytes)
             .sum();
-        segments + self.manifest.index.bytes + self.manifest_json.len() as u64
+        let filled = self.manifest.filled.map_or(0, |filled| filled.file.bytes);
+        segments + filled + self.manifest.index.bytes + self.manifest_json.len() as u64
+    }
+
+    /// Which samples are no data but fill.
+    ///
+    /// # Errors
+    /// [`DatasetError`] if the file that says so is missing, or is not what the manifest says.
+    pub fn filled(&self) -> Result<FilledRuns, DatasetError> {
+        FilledRuns::read(&self.folder, &self.manifest)
     }
 
     /// A page's record, checked against its revision. `None` if none is stored.

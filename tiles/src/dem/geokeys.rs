@@ -7,6 +7,7 @@ use std::path::Path;
 
 use super::error::in_and_out;
 use super::{Crs, DemError, Registration};
+use crate::crs::{self, Body, Conversion, Role, linear_unit};
 
 /// Key numbers of the standard, annex B.
 mod key {
@@ -23,6 +24,15 @@ mod key {
     pub const PROJECTED_CITATION: u16 = 3073;
     pub const LINEAR_UNITS: u16 = 3076;
     pub const LINEAR_UNIT_SIZE: u16 = 3077;
+    pub const PRIME_MERIDIAN: u16 = 2051;
+    pub const SEMI_MINOR_AXIS: u16 = 2058;
+    pub const INVERSE_FLATTENING: u16 = 2059;
+    pub const PRIME_MERIDIAN_LONGITUDE: u16 = 2061;
+    pub const TO_WGS84: u16 = 2062;
+    pub const PROJECTION: u16 = 3074;
+    pub const METHOD: u16 = 3075;
+    pub const VERTICAL_CRS: u16 = 4096;
+    pub const VERTICAL_CITATION: u16 = 4097;
     pub const VERTICAL_UNITS: u16 = 4099;
 }
 
@@ -33,36 +43,13 @@ const ASCII_TAG: u16 = 34737;
 /// Code that stands for "see the other keys".
 const USER_DEFINED: u16 = 32767;
 
-const WGS84_RADIUS_M: f64 = 6_378_137.0;
-
-/// Semi-major axes in metres, by EPSG ellipsoid code.
-const ELLIPSOIDS: [(u16, f64); 10] = [
-    (7001, 6_377_563.396), // Airy 1830
-    (7004, 6_377_397.155), // Bessel 1841
-    (7008, 6_378_206.4),   // Clarke 1866
-    (7012, 6_378_249.145), // Clarke 1880 (RGS)
-    (7015, 6_377_276.345), // Everest 1830
-    (7019, WGS84_RADIUS_M),
-    (7022, 6_378_388.0), // International 1924
-    (7024, 6_378_245.0), // Krassowsky 1940
-    (7030, WGS84_RADIUS_M),
-    (7043, 6_378_135.0), // WGS 72
-];
-
-/// Equatorial radii in metres by name in a citation (IAU Working Group, 2015), for files that
-/// give no axis.
-const BODIES: [(&str, f64); 5] = [
-    ("moon", 1_737_400.0),
-    ("mars", 3_396_190.0),
-    ("mercury", 2_440_530.0),
-    ("venus", 6_051_800.0),
-    ("wgs", WGS84_RADIUS_M),
-];
+/// EPSG's prime meridian of Greenwich.
+const GREENWICH: u16 = 8901;
 
 #[derive(Debug, Clone, PartialEq)]
 enum Value {
     Code(u16),
-    Number(f64),
+    Numbers(Vec<f64>),
     Text(String),
 }
 
@@ -99,7 +86,10 @@ impl GeoKeys {
             let (from, to) = (usize::from(value), usize::from(value) + usize::from(length));
             let found = match location {
                 0 => Some(Value::Code(value)),
-                DOUBLES_TAG => doubles.get(from).map(|number| Value::Number(*number)),
+                DOUBLES_TAG => doubles
+                    .get(from..to)
+                    .filter(|v| !v.is_empty())
+                    .map(|v| Value::Numbers(v.to_vec())),
                 ASCII_TAG => ascii_range(ascii, from, to).map(Value::Text),
                 _ => continue,
             };
@@ -158,58 +148,148 @@ impl GeoKeys {
         linear_unit(code).map(Some).ok_or_else(unknown)
     }
 
+    /// What heights are above, by its code or its citation; `None` where no key says so.
+    pub fn vertical(&self) -> Option<String> {
+        let stated = |id| {
+            self.code(id)
+                .filter(|code| ![0, USER_DEFINED].contains(code))
+        };
+        if let Some(code) = stated(key::VERTICAL_CRS) {
+            return Some(crs::vertical::from_code(code));
+        }
+        let citation = self.text(key::VERTICAL_CITATION);
+        let three_dimensions =
+            || (stated(key::GEODETIC_CRS)? == 4979).then(|| crs::vertical::from_code(4979));
+        citation
+            .and_then(|text| crs::vertical::from_text(&text))
+            .or_else(three_dimensions)
+    }
+
     fn projected(&self, path: &Path) -> Result<Crs, DemError> {
+        let by_code = self
+            .epsg(key::PROJECTED_CRS)
+            .and_then(|code| crs::from_user(&code).ok());
+        let metres_per_unit = match (self.code(key::LINEAR_UNITS), &by_code) {
+            (
+                None | Some(0),
+                Some(Crs::Projected {
+                    metres_per_unit, ..
+                }),
+            ) => Some(*metres_per_unit),
+            (None | Some(0), _) => Some(1.0),
+            (Some(USER_DEFINED), _) => self.number(key::LINEAR_UNIT_SIZE),
+            (Some(code), _) => linear_unit(code),
+        };
+        let positive = |metres: &f64| metres.is_finite() && *metres > 0.0;
+        let Some(metres_per_unit) = metres_per_unit.filter(positive) else {
+            return Err(self.reproject(path, "its linear unit"));
+        };
         let name = self
             .epsg(key::PROJECTED_CRS)
-            .or_else(|| self.text(key::PROJECTED_CITATION))
+            .or_else(|| self.conversion_name(metres_per_unit))
+            .unwrap_or_else(|| self.projected_citation());
+        Ok(Crs::Projected {
+            name,
+            metres_per_unit,
+        })
+    }
+
+    fn projected_citation(&self) -> String {
+        self.text(key::PROJECTED_CITATION)
             .or_else(|| self.text(key::CITATION))
-            .unwrap_or_else(|| "unnamed projection".into());
-        let metres_per_unit = match self.code(key::LINEAR_UNITS) {
-            None | Some(0) => Some(1.0),
-            Some(USER_DEFINED) => self.number(key::LINEAR_UNIT_SIZE),
-            Some(code) => linear_unit(code),
+            .unwrap_or_else(|| "unnamed projection".into())
+    }
+
+    /// The definition of a projection that is given by its parameters; `None` where they do not
+    /// suffice, or name a method that is not known.
+    fn conversion_name(&self, metres_per_unit: f64) -> Option<String> {
+        // EPSG numbers UTM's zones 16001 to 16060, and 16101 to 16160 in the south.
+        let mut conversion = match self.code(key::PROJECTION) {
+            Some(code @ 16001..=16060) => Conversion::utm(code - 16000, false),
+            Some(code @ 16101..=16160) => Conversion::utm(code - 16100, true),
+            _ => Conversion::of_geotiff(self.code(key::METHOD)?)?,
         };
-        match metres_per_unit {
-            Some(metres_per_unit) if metres_per_unit.is_finite() && metres_per_unit > 0.0 => {
-                Ok(Crs::Projected {
-                    name,
-                    metres_per_unit,
-                })
-            }
-            _ => Err(self.reproject(path, "its linear unit")),
+        for id in self.0.keys() {
+            let (Some(role), Some(value)) = (Role::of_geokey(*id), self.number(*id)) else {
+                continue;
+            };
+            let scale = if role.is_length() {
+                metres_per_unit
+            } else {
+                1.0
+            };
+            conversion.values.push((role, value * scale));
         }
+        if !self.has_degrees() {
+            return None;
+        }
+        let title = crs::title_parameter(&self.projected_citation());
+        crs::wkt::named(&conversion, &self.body(), metres_per_unit, &title).ok()
     }
 
     fn geographic(&self, path: &Path) -> Result<Crs, DemError> {
-        // 9122 is the degree as EPSG's own definitions name it.
-        if !matches!(self.code(key::ANGULAR_UNITS), None | Some(9102 | 9122)) {
+        if !self.has_degrees() {
             return Err(self.reproject(path, "an angular unit other than the degree"));
         }
-        let name = self
-            .epsg(key::GEODETIC_CRS)
-            .or_else(|| self.text(key::GEODETIC_CITATION))
-            .or_else(|| self.text(key::CITATION))
-            .unwrap_or_else(|| "unnamed geographic CRS".into());
-        match self.radius_m(&name) {
-            Some(radius_m) if radius_m.is_finite() && radius_m > 0.0 => {
-                Ok(Crs::Geographic { name, radius_m })
+        let body = self.body();
+        match (body.geographic_name(), body.radius_m()) {
+            (Ok(name), Ok(radius_m)) => Ok(Crs::Geographic { name, radius_m }),
+            (Err(why), _) | (_, Err(why)) => {
+                let what = format!("a geographic CRS without the radius of its body ({why})");
+                Err(self.reproject(path, &what))
             }
-            _ => Err(self.reproject(path, "a geographic CRS without the radius of its body")),
         }
     }
 
-    /// The file's own axis first, then its ellipsoid, then an Earth code, then a body's name.
-    fn radius_m(&self, name: &str) -> Option<f64> {
-        let ellipsoid = self.code(key::ELLIPSOID);
-        let listed = || ELLIPSOIDS.iter().find(|(code, _)| Some(*code) == ellipsoid);
-        let lower = name.to_ascii_lowercase();
-        let earth = [key::GEODETIC_CRS, key::GEODETIC_DATUM]
-            .iter()
-            .any(|id| matches!(self.code(*id), Some(1024..USER_DEFINED)));
-        self.number(key::SEMI_MAJOR_AXIS)
-            .or_else(|| listed().map(|(_, radius_m)| *radius_m))
-            .or_else(|| earth.then_some(WGS84_RADIUS_M))
-            .or_else(|| Some(BODIES.iter().find(|(body, _)| lower.contains(body))?.1))
+    /// 9122 is the degree as EPSG's own definitions name it.
+    fn has_degrees(&self) -> bool {
+        matches!(self.code(key::ANGULAR_UNITS), None | Some(9102 | 9122))
+    }
+
+    /// The file's own axes first, then its ellipsoid, then what its name says. An EPSG code that
+    /// is not known here is one of Earth.
+    fn body(&self) -> Body {
+        let name = self
+            .text(key::GEODETIC_CITATION)
+            .or_else(|| self.text(key::CITATION))
+            .unwrap_or_else(|| "unnamed geographic CRS".into());
+        let stated = |id| {
+            self.code(id)
+                .filter(|code| (1024..USER_DEFINED).contains(code))
+        };
+        let code = stated(key::GEODETIC_CRS);
+        // GeoTIFF's datums 6000 to 6999 are those of the CRSs 4000 to 4999.
+        let by_datum = stated(key::GEODETIC_DATUM).filter(|code| (6000..7000).contains(code));
+        let earth = (code.is_some() || by_datum.is_some()).then_some(7030);
+        let listed = self.code(key::ELLIPSOID).or(earth);
+        let ellipsoid = self
+            .own_ellipsoid()
+            .or_else(|| listed.and_then(Body::ellipsoid_of_code))
+            .or_else(|| Body::ellipsoid_of_name(&name));
+        let greenwich = self
+            .code(key::PRIME_MERIDIAN)
+            .is_none_or(|code| code == GREENWICH);
+        let prime_meridian_deg = match greenwich {
+            true => 0.0,
+            false => self.number(key::PRIME_MERIDIAN_LONGITUDE).unwrap_or(0.0),
+        };
+        Body {
+            code: code.or(by_datum.map(|code| code - 2000).filter(|_| greenwich)),
+            ellipsoid,
+            to_wgs84: self.numbers(key::TO_WGS84).to_vec(),
+            prime_meridian_deg,
+            name,
+        }
+    }
+
+    /// Semi-major axis and inverse flattening, 0 for a sphere.
+    fn own_ellipsoid(&self) -> Option<(f64, f64)> {
+        let a = self.number(key::SEMI_MAJOR_AXIS)?;
+        let by_minor = |b: f64| if a == b { 0.0 } else { a / (a - b) };
+        let flattening = self
+            .number(key::INVERSE_FLATTENING)
+            .or_else(|| self.number(key::SEMI_MINOR_AXIS).map(by_minor));
+        Some((a, flattening.unwrap_or(0.0)))
     }
 
     fn reproject(&self, path: &Path, what: &str) -> DemError {
@@ -226,9 +306,16 @@ impl GeoKeys {
 
     fn number(&self, id: u16) -> Option<f64> {
         match self.0.get(&id) {
-            Some(Value::Number(number)) => Some(*number),
+            Some(Value::Numbers(numbers)) => numbers.first().copied(),
             Some(Value::Code(code)) => Some(f64::from(*code)),
             _ => None,
+        }
+    }
+
+    fn numbers(&self, id: u16) -> &[f64] {
+        match self.0.get(&id) {
+            Some(Value::Numbers(numbers)) => numbers,
+            _ => &[],
         }
     }
 
@@ -250,18 +337,6 @@ impl GeoKeys {
             .map_or(first, |(_, name)| name)
             .trim();
         (!name.is_empty()).then(|| name.to_string())
-    }
-}
-
-/// Metres of an EPSG length unit.
-fn linear_unit(code: u16) -> Option<f64> {
-    match code {
-        9001 => Some(1.0),
-        9002 => Some(0.3048),
-        9003 => Some(1200.0 / 3937.0),
-        9005 => Some(0.304_797_265_4), // Clarke's foot
-        9036 => Some(1000.0),
-        _ => None,
     }
 }
 

@@ -1,6 +1,8 @@
 //! Writes any source as a GeoTIFF of 32-bit floats: tiled, deflate, predictor 3, streamed by rows
 //! of tiles (the encoder's own strip calls do not compress when streamed).
 
+mod keys;
+
 use std::io::{BufWriter, Seek, Write};
 use std::path::Path;
 
@@ -12,14 +14,13 @@ use tiff::encoder::{DirectoryEncoder, TiffEncoder, TiffKind, TiffKindBig, TiffKi
 use tiff::tags::{CompressionMethod, Predictor, SampleFormat, Tag};
 
 use super::{Crs, DemError, DemInfo, DemSource, Registration};
+use keys::Keys;
 
 /// Samples on a side of a tile.
 const TILE: u32 = 256;
 
 /// Raw bytes above which the file is a BigTIFF: offsets of a classic one end at 4 GiB.
 const CLASSIC_BYTES: u64 = 3 << 30;
-
-const USER_DEFINED: u16 = 32767;
 
 /// Writes `source` to `path`, in metres; holes become NaN, declared as nodata. The file appears
 /// when it is whole. Holds one row of tiles in memory.
@@ -162,58 +163,15 @@ fn write_place<W: Write + Seek, K: TiffKind>(
     let (x, y) = (place.x0 - shift * place.dx, place.y0 + shift * place.dy);
     directory.write_tag(Tag::ModelPixelScaleTag, &[place.dx, place.dy, 0.0][..])?;
     directory.write_tag(Tag::ModelTiepointTag, &[0.0, 0.0, 0.0, x, y, 0.0][..])?;
-    let (keys, doubles, citation) = geo_keys(info);
-    directory.write_tag(Tag::GeoKeyDirectoryTag, &keys[..])?;
-    directory.write_tag(Tag::GeoDoubleParamsTag, &doubles[..])?;
-    directory.write_tag(Tag::GeoAsciiParamsTag, &citation[..])
-}
-
-/// Key directory, doubles and citation, sorted by key as the standard demands.
-fn geo_keys(info: &DemInfo) -> (Vec<u16>, Vec<f64>, String) {
-    let raster_type = if info.registration == Registration::Grid {
-        2
-    } else {
-        1
-    };
-    let (name, geographic, number) = match &info.crs {
-        Crs::Projected {
-            name,
-            metres_per_unit,
-        } => (name, false, *metres_per_unit),
-        Crs::Geographic { name, radius_m } => (name, true, *radius_m),
-        Crs::Local => return Default::default(),
-    };
-    let code = name
-        .strip_prefix("EPSG:")
-        .and_then(|code| code.parse().ok());
-    let code: u16 = code.unwrap_or(USER_DEFINED);
-    let citation = format!(
-        "{}|",
-        name.replace(|c: char| !c.is_ascii() || c == '|', "?")
-    );
-    let length = citation.len() as u16;
-    let mut keys = vec![[1025, 0, 1, raster_type]];
-    if geographic {
-        keys.insert(0, [1024, 0, 1, 2]);
-        keys.extend([
-            [2048, 0, 1, code],
-            [2049, 34737, length, 0],
-            [2054, 0, 1, 9102],
-        ]);
-        if code == USER_DEFINED {
-            keys.extend([[2050, 0, 1, code], [2056, 0, 1, code], [2058, 34736, 1, 0]]);
-        }
-        keys.push([2057, 34736, 1, 0]);
-    } else {
-        keys.insert(0, [1024, 0, 1, 1]);
-        keys.extend([[1026, 34737, length, 0], [3072, 0, 1, code]]);
-        let unit = if number == 1.0 { 9001 } else { USER_DEFINED };
-        keys.extend([[3076, 0, 1, unit], [3077, 34736, 1, 0]]);
+    let keys = Keys::of(info);
+    directory.write_tag(Tag::GeoKeyDirectoryTag, &keys.directory()[..])?;
+    if !keys.doubles.is_empty() {
+        directory.write_tag(Tag::GeoDoubleParamsTag, &keys.doubles[..])?;
     }
-    keys.sort_unstable();
-    let mut directory = vec![1, 1, 0, keys.len() as u16];
-    directory.extend(keys.iter().flatten());
-    (directory, vec![number], citation)
+    if !keys.ascii.is_empty() {
+        directory.write_tag(Tag::GeoAsciiParamsTag, &keys.ascii[..])?;
+    }
+    Ok(())
 }
 
 fn write_offsets<W: Write + Seek, K: TiffKind>(

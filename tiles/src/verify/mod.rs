@@ -63,6 +63,7 @@ pub fn verify(
         Share::PagesALevel(most, seed) => (most, seed),
         Share::Full => (0, 0),
     };
+    dataset.filled()?;
     let done = AtomicU64::new(0);
     let total = families.len() as u64 * if share == Share::Full { 2 } else { 1 };
     let step = || progress(done.fetch_add(1, Ordering::Relaxed) + 1, total);

@@ -87,6 +87,8 @@ pub fn manifest(generation: u64) -> Manifest {
             crc32c: 1,
         },
         sources: vec![],
+        filled: None,
+        tolerances: Vec::new(),
     }
 }
 

@@ -1,14 +1,27 @@
 //! Publishing a generation, which is the last step of writing one.
 
+use super::super::FilledRuns;
 use super::super::current::{Current, sync_folder};
 use super::super::files::remove_files;
 use super::super::index::{write_index, write_synced};
 use super::{DatasetError, DatasetWriter};
 use crate::checksum::crc32c;
-use escarp_proto::manifest::{MAX_MANIFEST_BYTES, Manifest};
+use escarp_proto::manifest::{Filled, MAX_MANIFEST_BYTES, Manifest};
 use std::collections::HashSet;
 
 impl DatasetWriter {
+    /// Writes which samples are fill, and gives what the manifest is to say of it; `None` if none
+    /// is.
+    ///
+    /// # Errors
+    /// [`DatasetError::Io`] if the system refuses.
+    pub fn write_filled(&self, filled: &FilledRuns) -> Result<Option<Filled>, DatasetError> {
+        match filled.samples() {
+            0 => Ok(None),
+            _ => filled.write(&self.folder, self.generation).map(Some),
+        }
+    }
+
     /// Publishes, and removes what only generations before need.
     ///
     /// # Errors
