@@ -224,6 +224,37 @@ proptest! {
     }
 
     #[test]
+    fn the_quick_way_derives_what_the_plain_one_does(
+        page in whole_page(),
+        promise in prop::option::of(0..MAX_SPAN),
+        id in prop_oneof![Just(page_id()), Just(PageId::new(8, 38, 90).unwrap())],
+    ) {
+        let page = Page { id, ..page };
+        let record = Record::encode(&page);
+        let header = RecordHeader::read(page.id(), page.is_finest(), record.bytes()).unwrap();
+        let promise = promise.map(|error| BoxError { error, ..Bounds::derive(&page, None).box_error(0, 0, 0) });
+        for parts in 1..=page.last_part() {
+            let prefix = &record.bytes()[header.part_bytes(0, parts).unwrap()];
+            let page = Page::decode(page.id(), page.is_finest(), parts, prefix).unwrap();
+            for promise in [None, promise] {
+                prop_assert_eq!(Bounds::derive(&page, promise), Bounds::derive_plain(&page, promise));
+            }
+        }
+    }
+
+    #[test]
+    fn a_page_and_its_slot_are_judged_as_its_bounds_say(samples in terrain()) {
+        let heights = Box::new(samples.map(|sample| sample.unwrap()));
+        let (page, slot) = Page::with_slot(page_id(), heights, None, None).unwrap();
+        let bounds = Bounds::derive_plain(&page, None);
+        prop_assert_eq!(slot, bounds.slot());
+        for level in 1..=PAGE_LEVELS {
+            let of_level = (0..1 << (2 * level)).map(|i| bounds.box_error(level, i % (1 << level), i >> level).error);
+            prop_assert_eq!(Some(page.rest[level as usize - 1]), Err8::covering(of_level.max().unwrap()));
+        }
+    }
+
+    #[test]
     fn errors_and_ranges_are_nested(page in whole_page()) {
         let record = Record::encode(&page);
         let header = RecordHeader::read(page.id(), page.is_finest(), record.bytes()).unwrap();

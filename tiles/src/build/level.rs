@@ -83,26 +83,30 @@ pub(super) struct Above {
 }
 
 /// Rows of the samples that a level below left.
-pub(super) struct MemoryRows {
-    from: Above,
+pub(super) struct MemoryRows<'a> {
+    from: &'a Above,
 }
 
-impl MemoryRows {
-    pub(super) fn new(from: Above) -> Self {
+impl<'a> MemoryRows<'a> {
+    pub(super) fn new(from: &'a Above) -> Self {
         MemoryRows { from }
     }
 }
 
-impl Rows for MemoryRows {
-    fn read(&mut self, first: u32, n: u32, out: &mut [i32]) -> Result<(), BuildError> {
+impl Rows for MemoryRows<'_> {
+    fn read(
+        &mut self,
+        first: u32,
+        n: u32,
+        stride: usize,
+        out: &mut [i32],
+    ) -> Result<(), BuildError> {
         let width = self.from.width;
-        let start = first as usize * width;
-        out.copy_from_slice(&self.from.heights[start..start + n as usize * width]);
+        let rows = self.from.heights.chunks_exact(width).skip(first as usize);
+        for (out, row) in out.chunks_mut(stride).zip(rows.take(n as usize)) {
+            out[..width].copy_from_slice(row);
+        }
         Ok(())
-    }
-
-    fn slots(&self) -> Option<&Slots> {
-        Some(&self.from.slots)
     }
 }
 
@@ -127,7 +131,105 @@ pub(crate) struct Band {
     pub(crate) samples: Vec<i32>,
 }
 
+/// Samples of a band up to which the next is read while one is encoded: wider ones take turns, so
+/// that memory is that of one.
+const MOST_AHEAD: usize = 1 << 25;
+
+/// The band that is encoded, and the one that is read meanwhile.
+struct Bands {
+    now: Band,
+    next: Option<Band>,
+}
+
+impl Bands {
+    fn new(level: &Level) -> Bands {
+        let now = Band::new(level);
+        let next = (now.samples.len() <= MOST_AHEAD).then(|| Band::new(level));
+        Bands { now, next }
+    }
+
+    /// Reads the first band; the southern row of the one before it is where a band has its own.
+    fn read(
+        &mut self,
+        level: &Level,
+        number: usize,
+        rows: &mut dyn Rows,
+    ) -> Result<(), BuildError> {
+        self.now.carry_over();
+        self.now.fill_below(level, number, rows)
+    }
+
+    /// Goes on to the next band.
+    fn advance(
+        &mut self,
+        level: &Level,
+        number: usize,
+        rows: &mut dyn Rows,
+    ) -> Result<(), BuildError> {
+        match &mut self.next {
+            Some(next) => {
+                std::mem::swap(&mut self.now, next);
+                Ok(())
+            }
+            None => self.read(level, number, rows),
+        }
+    }
+}
+
 impl Band {
+    fn new(level: &Level) -> Band {
+        let stride = level.columns.div_ceil(PAGE_CELLS) * FAMILY_CELLS + 1;
+        Band {
+            west: 0,
+            stride,
+            samples: vec![HOLE; stride * (FAMILY_CELLS + 1)],
+        }
+    }
+
+    /// Makes the southern row the northern one.
+    fn carry_over(&mut self) {
+        let stride = self.stride;
+        self.samples.copy_within(..stride, FAMILY_CELLS * stride);
+    }
+
+    /// Reads a band. Its northern row is the southern row of the band before.
+    fn fill(
+        &mut self,
+        level: &Level,
+        number: usize,
+        before: &Band,
+        rows: &mut dyn Rows,
+    ) -> Result<(), BuildError> {
+        let stride = self.stride;
+        self.samples[FAMILY_CELLS * stride..].copy_from_slice(&before.samples[..stride]);
+        self.fill_below(level, number, rows)
+    }
+
+    /// Reads all rows but the northern one, and that too if there is no band before. What lies
+    /// beyond the data is, and stays, a hole.
+    fn fill_below(
+        &mut self,
+        level: &Level,
+        number: usize,
+        rows: &mut dyn Rows,
+    ) -> Result<(), BuildError> {
+        let first = number * FAMILY_CELLS;
+        let is_northern = first + FAMILY_CELLS + 1 >= level.height;
+        let n = if is_northern {
+            level.height - first
+        } else {
+            FAMILY_CELLS
+        };
+        if n < FAMILY_CELLS {
+            self.samples[n * self.stride..FAMILY_CELLS * self.stride].fill(HOLE);
+        }
+        if !rows.may_have_data(first as u32, n as u32) {
+            self.samples[..n * self.stride].fill(HOLE);
+            return Ok(());
+        }
+        rows.read(first as u32, n as u32, self.stride, &mut self.samples)
+    }
+
     fn sample(&self, x: usize, y: usize) -> Option<i32> {
         let x = x.checked_sub(self.west)?;
         let height = *self.samples.get(y * self.stride + x)?;
@@ -240,10 +342,11 @@ impl Level {
         }
     }
 
-    /// Makes and writes all pages.
+    /// Makes and writes all pages. While a band is encoded, the next one is read.
     pub(super) fn run(
         &self,
         rows: &mut dyn Rows,
+        slots: Option<&Slots>,
         writer: &mut DatasetWriter,
         checkpoints: &mut Checkpoints,
         progress: Progress<'_>,
@@ -253,26 +356,30 @@ impl Level {
             bands_left: self.bands(),
         });
         let (mut above, bands_left) = (done.above, done.bands_left);
-        let families = self.columns.div_ceil(PAGE_CELLS);
-        let mut band = Band {
-            west: 0,
-            stride: families * FAMILY_CELLS + 1,
-            samples: Vec::new(),
-        };
-        band.samples = vec![HOLE; band.stride * (FAMILY_CELLS + 1)];
+        let mut bands = Bands::new(self);
         if bands_left < self.bands() {
-            let northern = bands_left * FAMILY_CELLS;
-            rows.read(northern as u32, 1, &mut band.samples[..self.width])?;
+            let northern = (bands_left * FAMILY_CELLS) as u32;
+            rows.read(northern, 1, bands.now.stride, &mut bands.now.samples)?;
             rows.resume(checkpoints.stored());
         }
+        if let Some(first) = bands_left.checked_sub(1) {
+            bands.read(self, first, rows)?;
+        }
         for number in (0..bands_left).rev() {
-            self.fill(&mut band, number, rows)?;
-            let slots = rows.slots();
-            let made = (0..families)
-                .into_par_iter()
-                .map(|column| self.family(&band, column, number, slots))
-                .collect::<Result<Vec<_>, _>>()?;
-            for family in made {
+            let stored = rows.stored();
+            let band = &bands.now;
+            let families = || {
+                let columns = (0..self.columns.div_ceil(PAGE_CELLS)).into_par_iter();
+                let made = columns.map(|column| self.family(band, column, number, slots));
+                made.collect::<Result<Vec<_>, _>>()
+            };
+            let next = number.checked_sub(1).zip(bands.next.as_mut());
+            let read = || match next {
+                Some((number, next)) => next.fill(self, number, band, rows),
+                None => Ok(()),
+            };
+            let (made, read) = rayon::join(families, read);
+            for family in made? {
                 if let Some(bytes) = family.bytes {
                     writer.append(&bytes)?;
                 }
@@ -280,35 +387,17 @@ impl Level {
                     above.slots.set(column, row, slot);
                 }
             }
-            self.keep_corners(&band, number, &mut above);
-            checkpoints.band(self, number, &above, rows.stored(), writer)?;
+            self.keep_corners(&bands.now, number, &mut above);
+            checkpoints.band(self, number, &above, stored, writer)?;
             let done = self.height.saturating_sub(number * FAMILY_CELLS);
             progress(done as u64, self.height as u64);
+            // An error of the next band comes after all that is sound has been noted.
+            read?;
+            if let Some(next) = number.checked_sub(1) {
+                bands.advance(self, next, rows)?;
+            }
         }
         Ok(above)
-    }
-
-    /// Reads a band. Its northern row is the southern row of the band before.
-    fn fill(&self, band: &mut Band, number: usize, rows: &mut dyn Rows) -> Result<(), BuildError> {
-        let stride = band.stride;
-        let first = number * FAMILY_CELLS;
-        band.samples.copy_within(..stride, FAMILY_CELLS * stride);
-        band.samples[..FAMILY_CELLS * stride].fill(HOLE);
-        let is_northern = first + FAMILY_CELLS + 1 >= self.height;
-        let n = if is_northern {
-            self.height - first
-        } else {
-            FAMILY_CELLS
-        };
-        if !rows.may_have_data(first as u32, n as u32) {
-            return Ok(());
-        }
-        let mut read = vec![HOLE; n * self.width];
-        rows.read(first as u32, n as u32, &mut read)?;
-        for (row, samples) in read.chunks_exact(self.width).enumerate() {
-            band.samples[row * stride..][..self.width].copy_from_slice(samples);
-        }
-        Ok(())
     }
 
     fn family(
@@ -372,13 +461,15 @@ impl Level {
         slots: Option<&Slots>,
     ) -> Result<(Page, ChildSlot), PageError> {
         let (x, y) = (page.square().x as usize * PAGE_CELLS, band_row * PAGE_CELLS);
-        let mut samples = [None; PAGE_AREA];
-        for (row, samples) in samples.chunks_exact_mut(PAGE_SAMPLES).enumerate() {
-            let from = &band.samples[(y + row) * band.stride + x - band.west..][..PAGE_SAMPLES];
-            for (sample, &height) in samples.iter_mut().zip(from) {
-                *sample = (height != HOLE).then_some(height);
-            }
+        let mut heights = Box::new([HOLE; PAGE_AREA]);
+        for (row, heights) in heights.chunks_exact_mut(PAGE_SAMPLES).enumerate() {
+            let from = (y + row) * band.stride + x - band.west;
+            heights.copy_from_slice(&band.samples[from..][..PAGE_SAMPLES]);
         }
+        let holes = heights
+            .iter()
+            .fold(false, |any, &height| any | (height == HOLE));
+        let valid = holes.then(|| Box::new(heights.map(|height| height != HOLE)));
         let slots = slots.map(|slots| {
             let (x, y) = (x, page.square().y as usize * PAGE_CELLS);
             Box::new(std::array::from_fn(|i| {
@@ -387,8 +478,8 @@ impl Level {
             }))
         });
         let finest = slots.is_none();
-        let (page, bounds) = Page::with_bounds(page, &samples, slots)?;
-        let own = match bounds.slot() {
+        let (page, slot) = Page::with_slot(page, heights, valid, slots)?;
+        let own = match slot {
             ChildSlot::Empty if finest => {
                 let is_last = |at: u32, count: usize| usize::from(at as usize + 1 == count);
                 let columns = PAGE_CELLS + is_last(page.id().square().x, self.columns);

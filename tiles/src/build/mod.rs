@@ -185,11 +185,17 @@ fn write_pages(
     progress: Progress<'_>,
 ) -> Result<(), BuildError> {
     let mut level = finest;
-    let mut left = level.run(rows, writer, checkpoints, progress)?;
+    let mut left = level.run(rows, None, writer, checkpoints, progress)?;
     while let Some(above) = level.above() {
         level = above;
-        let mut rows = MemoryRows::new(left);
-        left = level.run(&mut rows, writer, checkpoints, &|_, _| {})?;
+        let slots = Some(&left.slots);
+        left = level.run(
+            &mut MemoryRows::new(&left),
+            slots,
+            writer,
+            checkpoints,
+            &|_, _| {},
+        )?;
     }
     Ok(())
 }

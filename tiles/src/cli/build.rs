@@ -20,9 +20,12 @@ const MOST_SOURCES: usize = 256;
 #[derive(Debug, Args)]
 pub(super) struct BuildArgs {
     /// DEM files: GeoTIFF, SRTM .hgt and .hgt.zip, 8 and 16 bit greyscale PNG. Where several overlap, the one
-    /// named first counts
-    #[arg(required = true, value_name = "INPUT")]
+    /// named first counts. `synth:size=N,seed=N,spacing=M` is the synthetic DEM of N x N samples
+    #[arg(required_unless_present = "more_inputs", value_name = "INPUT")]
     inputs: Vec<PathBuf>,
+    /// One more input
+    #[arg(long = "input", id = "more_inputs", value_name = "INPUT")]
+    more_inputs: Vec<PathBuf>,
     /// Dataset to make
     #[arg(short, long, value_name = "NAME.escarp")]
     output: PathBuf,
@@ -66,7 +69,8 @@ pub(super) fn run(args: &BuildArgs) -> Result<ExitCode> {
         .num_threads(usize::from(args.jobs))
         .build_global()
         .context("cannot start the threads")?;
-    let mut source = args.source.open(&args.inputs)?;
+    let inputs = [&args.inputs[..], &args.more_inputs].concat();
+    let mut source = args.source.open(&inputs)?;
     let name = |path: &PathBuf| {
         path.file_name()
             .unwrap_or_default()
@@ -81,15 +85,15 @@ pub(super) fn run(args: &BuildArgs) -> Result<ExitCode> {
         },
         overwrite: args.overwrite,
         resume: args.resume,
-        identity: identity(&expand(&args.inputs)?, &args.source),
+        identity: identity(&expand(&inputs)?, &args.source),
         accept_changed: args.accept_changed,
         checkpoint_samples: args.checkpoint,
     };
     announce(&args.output, args.resume);
     let progress = Progress::new("building", args.json);
-    let mut sources: Vec<String> = args.inputs.iter().map(name).take(MOST_SOURCES).collect();
-    if args.inputs.len() > MOST_SOURCES {
-        sources.push(format!("and {} more", args.inputs.len() - MOST_SOURCES));
+    let mut sources: Vec<String> = inputs.iter().map(name).take(MOST_SOURCES).collect();
+    if inputs.len() > MOST_SOURCES {
+        sources.push(format!("and {} more", inputs.len() - MOST_SOURCES));
     }
     let manifest = build(
         &mut *source,

@@ -34,6 +34,7 @@ Examples:
   escarp-tiles build moon.tif -o moon.escarp
   escarp-tiles build srtm/*.hgt.zip -o sierra.escarp       several inputs make one mosaic
   escarp-tiles build heights.png --spacing 160 --height-step 0.1 -o puget.escarp
+  escarp-tiles build --input synth:size=100001,seed=1,spacing=1 -o large.escarp
   escarp-tiles update moon.escarp --with crater.tif        only what changed is written
   escarp-tiles verify moon.escarp --against moon.tif
   escarp-tiles sample -o demo.tif --size 2048 --seed 7

@@ -56,7 +56,9 @@ impl Patch<'_> {
         }
         let (width, n) = (self.place.x[1] - self.place.x[0] + 1, north - south + 1);
         let mut heights = vec![HOLE; width as usize * n as usize];
-        self.rows.read(south - self.place.y[0], n, &mut heights)?;
+        let stride = width as usize;
+        self.rows
+            .read(south - self.place.y[0], n, stride, &mut heights)?;
         let place = Rectangle {
             x: self.place.x,
             y: [south, north],
