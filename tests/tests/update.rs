@@ -8,7 +8,7 @@ use escarp_tests::terrain::{
 };
 use escarp_tiles::build::BuildError;
 use escarp_tiles::dataset::{Dataset, DatasetError, DatasetWriter};
-use escarp_tiles::dem::{DemError, DemInfo, DemSource};
+use escarp_tiles::dem::{DemError, DemInfo, DemSource, Filled};
 use escarp_tiles::update::{Edit, UpdateReport, compact, update};
 use escarp_tiles::verify::{Share, verify};
 use proptest::prelude::*;
@@ -73,11 +73,14 @@ fn bounds(place: Rectangle) -> [f64; 4] {
     ]
 }
 
-/// Patches, each with its heights; and removed rectangles.
+/// Patches, each with its heights.
+type Patches = Vec<(Rectangle, Heights)>;
+
+/// Patches and removed rectangles.
 struct Case {
     size: [u32; 2],
     base: Heights,
-    patches: Vec<(Rectangle, Heights)>,
+    patches: Patches,
     removed: Vec<Rectangle>,
 }
 
@@ -226,7 +229,7 @@ fn removed_rectangles_become_holes_except_where_a_patch_has_data() {
 fn a_dataset_can_be_filled_emptied_and_filled_again() {
     let size = [300, 280];
     let data = TempDataset::of(size[0], size[1], hills);
-    let steps: [(Vec<(Rectangle, Heights)>, Vec<Rectangle>); 4] = [
+    let steps: [(Patches, Vec<Rectangle>); 4] = [
         (vec![([5, 5, 9, 9], terrace)], vec![[0, 0, 299, 279]]),
         (vec![([0, 0, 299, 279], holed_hills)], vec![]),
         (vec![([0, 0, 299, 279], terrace)], vec![]),
@@ -638,4 +641,37 @@ fn shared_segments_that_are_swapped_cut_short_or_gone_are_found() {
     let copy = Copy::of(&data.path());
     copy.change(&named[0], |bytes| bytes.truncate(bytes.len() / 2));
     assert!(copy.verdict().expect_err("a short one").contains(&named[0]));
+}
+
+#[test]
+fn fill_is_known_as_fill_until_data_replaces_it_or_it_is_removed() {
+    // A hole of 21 x 21 samples, filled; rows from the north.
+    let holed = |x: u32, y: u32| match (40..=60).contains(&x) && (40..=60).contains(&y) {
+        true => f64::NAN,
+        false => hills(x, y),
+    };
+    let source = Box::new(FunctionSource::new(300, 300, holed));
+    let mut source = Filled::new(source, 1000, &|_, _| {}).unwrap();
+    let data = TempDataset::build(&mut source);
+    assert_eq!(data.dataset.filled().unwrap().samples(), 441);
+    let case = Case {
+        size: [300, 300],
+        base: hills,
+        // Data over the eastern half, nothing over the rest of the row.
+        patches: vec![([50, 0, 299, 299], hills)],
+        removed: vec![[0, 255, 44, 257]],
+    };
+    let report = case.apply(&data.dataset).unwrap();
+    assert!(report.changed > 0);
+    let filled = data.open().filled().unwrap();
+    for y in 0..300 {
+        for x in 0..300 {
+            let was = (40..=60).contains(&x) && (40..=60).contains(&(299 - y));
+            let gone = x >= 50 || (x <= 44 && (255..=257).contains(&y));
+            assert_eq!(filled.contains(x, y), was && !gone, "{x}, {y}");
+        }
+    }
+    compact(&data.open(), 0.0, &|_, _| {}).unwrap();
+    assert_eq!(data.open().filled().unwrap(), filled);
+    verify(&data.open(), Share::PagesALevel(0, 1), &|_, _| {}).unwrap();
 }

@@ -6,15 +6,16 @@
 //! was written to them after the last checkpoint is dropped on resuming, and made again. When
 //! checkpoints are made decides how much that is, and nothing else.
 
+mod bands;
+mod replay;
+
 use super::level::{Above, Level};
 use super::rows::Stored;
 use super::{BuildError, BuildOptions};
-use crate::dataset::{DatasetError, DatasetWriter, IndexEntry, Journal, MAX_ENTRY_BYTES};
-use escarp_proto::bytes::{Reader, put_varint, put_zigzag};
-use escarp_proto::err8::Err8;
-use escarp_proto::geometry::PAGE_CELLS;
+use crate::dataset::{DatasetError, DatasetWriter, Journal, MAX_ENTRY_BYTES};
+use bands::{put_band, put_stored};
 use escarp_proto::manifest::Manifest;
-use escarp_proto::page::{ChildSlot, Kind, Range};
+use replay::Replay;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -194,171 +195,4 @@ fn check_head(
              anew without --resume"
         ),
     })
-}
-
-fn put_stored(stored: Stored, out: &mut Vec<u8>) {
-    out.extend(stored.valid_samples.to_le_bytes());
-    out.extend(stored.largest_error_m.to_bits().to_le_bytes());
-    out.push(u8::from(stored.range.is_some()));
-    for height in stored.range.unwrap_or_default() {
-        out.extend(height.to_le_bytes());
-    }
-}
-
-fn read_stored(reader: &mut Reader<'_>) -> Option<Stored> {
-    let (valid_samples, largest_error_m) = (reader.u64()?, f64::from_bits(reader.u64()?));
-    let has_range = reader.u8()? == 1;
-    let range = [reader.u32()? as i32, reader.u32()? as i32];
-    Some(Stored {
-        valid_samples,
-        largest_error_m,
-        range: has_range.then_some(range),
-    })
-}
-
-/// Rows of page corners that a band adds, and rows of slots. The northern row of corners is that
-/// of the band before.
-fn rows_of(level: &Level, number: usize, above: &Above) -> [std::ops::Range<usize>; 2] {
-    let first = number * PAGE_CELLS;
-    let is_northern = number + 1 == level.bands();
-    let corners = first + PAGE_CELLS + usize::from(is_northern);
-    [
-        first..corners.min(above.height),
-        first..(first + PAGE_CELLS).min(above.height - 1),
-    ]
-}
-
-/// Appends what a band left: heights as differences along rows, slots in runs of a kind.
-fn put_band(level: &Level, number: usize, above: &Above, out: &mut Vec<u8>) {
-    let [corners, slots] = rows_of(level, number, above);
-    for row in corners {
-        let mut last = 0;
-        for &height in &above.heights[row * above.width..][..above.width] {
-            put_zigzag(i64::from(height) - last, out);
-            last = i64::from(height);
-        }
-    }
-    for row in slots {
-        let slots: Vec<ChildSlot> = (0..above.width - 1)
-            .map(|column| above.slots.get(column, row))
-            .collect();
-        for run in slots.chunk_by(|a, b| a.kind() == b.kind()) {
-            out.push(run[0].kind() as u8);
-            put_varint(run.len() as u64, out);
-            run.iter().for_each(|slot| put_slot(*slot, out));
-        }
-    }
-}
-
-fn put_slot(slot: ChildSlot, out: &mut Vec<u8>) {
-    match slot {
-        ChildSlot::Full(error) => out.push(error.0),
-        ChildSlot::Empty => {}
-        ChildSlot::Mixed(range) => {
-            put_zigzag(i64::from(range.lo), out);
-            put_zigzag(i64::from(range.hi), out);
-        }
-    }
-}
-
-fn read_slot(kind: u8, reader: &mut Reader<'_>) -> Option<ChildSlot> {
-    let height = |reader: &mut Reader<'_>| i32::try_from(reader.zigzag()?).ok();
-    Some(match kind {
-        kind if kind == Kind::Full as u8 => ChildSlot::Full(Err8(reader.u8()?)),
-        kind if kind == Kind::Empty as u8 => ChildSlot::Empty,
-        kind if kind == Kind::Mixed as u8 => ChildSlot::Mixed(Range {
-            lo: height(reader)?,
-            hi: height(reader)?,
-        }),
-        _ => return None,
-    })
-}
-
-/// Reads what [`put_band`] wrote. `None` if it does not fit; `above` is then of no use.
-fn read_band(
-    level: &Level,
-    number: usize,
-    above: &mut Above,
-    reader: &mut Reader<'_>,
-) -> Option<()> {
-    let [corners, slots] = rows_of(level, number, above);
-    for row in corners {
-        let mut last = 0;
-        for height in &mut above.heights[row * above.width..][..above.width] {
-            last += reader.zigzag()?;
-            *height = i32::try_from(last).ok()?;
-        }
-    }
-    for row in slots {
-        let mut column = 0;
-        while column < above.width - 1 {
-            let (kind, run) = (reader.u8()?, reader.varint()? as usize);
-            if run == 0 || run > above.width - 1 - column {
-                return None;
-            }
-            for column in column..column + run {
-                above.slots.set(column, row, read_slot(kind, reader)?);
-            }
-            column += run;
-        }
-    }
-    Some(())
-}
-
-/// A journal, read back entry by entry.
-struct Replay {
-    path: PathBuf,
-    /// The level that is being replayed.
-    level: Level,
-    index: Vec<IndexEntry>,
-    pages: u64,
-    stored: Stored,
-    done: BTreeMap<u8, Done>,
-}
-
-impl Replay {
-    fn take(&mut self, number: u64, content: &[u8]) -> Result<(), DatasetError> {
-        let mut reader = Reader::new(content);
-        let whole = self.read(&mut reader).is_some() && reader.left() == 0;
-        match whole {
-            true => Ok(()),
-            false => {
-                let why = format!("entry {number} makes no sense; start anew without --resume");
-                Err(DatasetError::damaged(&self.path, why))
-            }
-        }
-    }
-
-    fn read(&mut self, reader: &mut Reader<'_>) -> Option<()> {
-        self.pages = reader.u64()?;
-        self.stored = read_stored(reader)?;
-        for _ in 0..reader.u32()? {
-            self.index.push(IndexEntry::read(reader)?);
-        }
-        for _ in 0..reader.u32()? {
-            self.band(reader)?;
-        }
-        Some(())
-    }
-
-    /// Bands come as a build makes them: from north to south, the finest level first.
-    fn band(&mut self, reader: &mut Reader<'_>) -> Option<()> {
-        let (level, number) = (reader.u8()?, reader.u32()? as usize);
-        let finished = self.done.get(&self.level.level());
-        if finished.is_some_and(|done| done.bands_left == 0) {
-            self.level = self.level.above()?;
-        }
-        if level != self.level.level() {
-            return None;
-        }
-        let done = self.done.entry(level).or_insert_with(|| Done {
-            above: self.level.new_above(),
-            bands_left: self.level.bands(),
-        });
-        if done.bands_left.checked_sub(1)? != number {
-            return None;
-        }
-        done.bands_left = number;
-        read_band(&self.level, number, &mut done.above, reader)
-    }
 }

@@ -541,7 +541,7 @@ mod tests {
     #[test]
     fn a_band_is_the_same_whether_read_ahead_or_in_turn() {
         let grid = GridLevels::new(12).unwrap();
-        let level = Level::new(grid, 8, 300, 900);
+        let level = Level::new(grid, 8, [300, 900], Codec::Dense);
         let above = Above {
             width: 300,
             height: 900,

@@ -161,10 +161,8 @@ pub fn build(
         return Err(unfit("no sample has data: every one is a hole".into()));
     }
     manifest.filled = match source.fills() {
-        Some(fills) if fills.samples > 0 => {
-            Some(writer.write_filled(&grid_runs(fills, info.height))?)
-        }
-        _ => None,
+        Some(fills) => writer.write_filled(&grid_runs(fills, info.height))?,
+        None => None,
     };
     manifest.valid_samples = stored.valid_samples;
     manifest.height_range = stored.range;

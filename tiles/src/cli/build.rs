@@ -5,7 +5,7 @@ use super::resume::{announce, identity, kept};
 use super::source::SourceArgs;
 use crate::build::{BuildOptions, CHECKPOINT_SAMPLES, Quantum, build};
 use crate::dataset::{Dataset, Figures};
-use crate::dem::{Fills, OverlapReport};
+use crate::dem::{Fills, OverlapReport, expand};
 use crate::process;
 use anyhow::{Context, Result, anyhow};
 use clap::Args;
@@ -91,7 +91,7 @@ pub(super) fn run(args: &BuildArgs) -> Result<ExitCode> {
         codec: Codec::from_u8(args.codec).unwrap_or(Codec::Dense),
         overwrite: args.overwrite,
         resume: args.resume,
-        identity: identity(&inputs, &args.source),
+        identity: identity(&expand(&inputs)?, &args.source),
         accept_changed: args.accept_changed,
         checkpoint_samples: args.checkpoint,
     };

@@ -3,6 +3,7 @@
 mod bench;
 mod build;
 mod compact;
+mod diff;
 mod grid;
 mod info;
 mod input;
@@ -10,6 +11,7 @@ mod mosaic;
 mod progress;
 mod resume;
 mod source;
+mod survey;
 mod update;
 mod verify;
 
@@ -39,7 +41,7 @@ Examples:
   escarp-tiles bench moon.tif --max-error 0,1,4,8
   escarp-tiles sample -o demo.tif --size 2048 --seed 7
 
-Exit codes: 0 done; 1 failed, or a bound does not hold; 2 wrong usage.";
+Exit codes: 0 done; 1 failed, or a bound does not hold, or two datasets differ; 2 wrong usage.";
 
 #[derive(Debug, Subcommand)]
 enum Command {
@@ -51,10 +53,12 @@ enum Command {
     Compact(compact::CompactArgs),
     /// Say what a dataset holds
     Info(info::InfoArgs),
-    /// Check every checksum, and bounds by brute force
+    /// Check checksums, borders of pages, and bounds by brute force
     Verify(verify::VerifyArgs),
     /// Measure size and speed of the codec on DEM files, at several largest errors
     Bench(bench::BenchArgs),
+    /// Say how two datasets, or two generations of one, differ
+    Diff(diff::DiffArgs),
     /// Write a synthetic DEM: ridges, valleys, a lake, a cliff, detail
     Sample(SampleArgs),
 }
@@ -84,6 +88,7 @@ pub fn run(cli: Cli) -> Result<ExitCode> {
         Command::Info(args) => info::run(&args),
         Command::Verify(args) => verify::run(&args),
         Command::Bench(args) => bench::run(&args),
+        Command::Diff(args) => diff::run(&args),
         Command::Sample(args) => {
             crate::synth::write_geotiff(&args.output, args.size, args.seed)?;
             let (file, side) = (args.output.display(), args.size);

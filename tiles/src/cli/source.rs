@@ -20,6 +20,11 @@ pub(super) struct SourceArgs {
 }
 
 impl SourceArgs {
+    /// Whether of overlapping inputs the one named last counts.
+    pub(super) fn is_last_first(&self) -> bool {
+        self.mosaic.is_last_first()
+    }
+
     /// Opens the inputs, joins them, brings them to the dataset's grid, and fills voids.
     pub(super) fn open(&self, inputs: &[PathBuf]) -> Result<Box<dyn DemSource>> {
         let joined = self.mosaic.join(inputs, &self.input.options())?;

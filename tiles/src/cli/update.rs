@@ -3,7 +3,7 @@
 use super::progress::Progress;
 use super::source::SourceArgs;
 use crate::dataset::Dataset;
-use crate::dem::DemSource;
+use crate::dem::{DemSource, expand};
 use crate::update::{Edit, UpdateReport, update};
 use anyhow::{Context, Result};
 use clap::Args;
@@ -19,7 +19,7 @@ pub(super) struct UpdateArgs {
     #[arg(value_name = "NAME.escarp")]
     dataset: PathBuf,
     /// DEM files whose heights replace those of the dataset; their holes leave it as it is. Where
-    /// several overlap, the one named first counts
+    /// several overlap, --priority says which counts
     #[arg(long, num_args = 1.., value_name = "INPUT", group = "change")]
     with: Vec<PathBuf>,
     /// Make a rectangle a hole where no --with has data; in the dataset's coordinates
@@ -71,8 +71,12 @@ pub(super) fn run(args: &UpdateArgs) -> Result<ExitCode> {
     let dataset = Dataset::open(&args.dataset)?;
     // Each alone: what lies between patches that are far apart is not looked at.
     let mut sources = Vec::new();
-    for path in &args.with {
-        sources.push(args.source.open(std::slice::from_ref(path))?);
+    let mut inputs = expand(&args.with)?;
+    if args.source.is_last_first() {
+        inputs.reverse();
+    }
+    for path in inputs {
+        sources.push(args.source.open(&[path])?);
     }
     let name = |path: &PathBuf| {
         let name = path.file_name().unwrap_or_default();

@@ -1,19 +1,18 @@
 //! Writing a generation: families go to segments as they come; publishing is the last step, so
 //! that a crash at any moment leaves what was published before.
 
-use super::current::{Current, sync_folder};
-use super::family::{FamilyTable, encode_family};
+mod go_on;
+mod publish;
+
+use super::family::encode_family;
 use super::files::{holds_only_ours, journal_path, newest_generation, published, remove_files};
-use super::index::{IndexEntry, write_index, write_synced};
-use super::map::Mapped;
-use super::{Dataset, DatasetError, FamilyId, FilledRuns};
-use crate::checksum::crc32c;
+use super::index::IndexEntry;
+use super::{Dataset, DatasetError, FamilyId};
 use escarp_proto::geometry::Slot;
-use escarp_proto::manifest::{Filled, MAX_MANIFEST_BYTES, Manifest, Segment};
-use rayon::prelude::*;
+use escarp_proto::manifest::Segment;
 use std::collections::HashSet;
 use std::fs::{self, File};
-use std::io::{BufWriter, Seek, SeekFrom, Write};
+use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 /// No segment is longer.
@@ -186,71 +185,6 @@ impl DatasetWriter {
         })
     }
 
-    /// Goes on with what an unfinished writer left behind, as far as `index` says, which it gave
-    /// before. What was written after is dropped; the rest is checked.
-    ///
-    /// # Errors
-    /// [`DatasetError::Damaged`] if the segments do not hold what the index says.
-    pub(crate) fn go_on(&mut self, index: Vec<IndexEntry>, pages: u64) -> Result<(), DatasetError> {
-        for entry in &index {
-            if entry.segment as usize == self.segments.len() {
-                self.segments.push(self.named());
-            }
-            let last = self.segments.last_mut();
-            match last.filter(|segment| segment.bytes == entry.offset) {
-                Some(segment) => segment.bytes += u64::from(entry.bytes),
-                None => {
-                    let path = journal_path(&self.folder, self.generation);
-                    return Err(DatasetError::damaged(
-                        &path,
-                        "its families are not in order",
-                    ));
-                }
-            }
-        }
-        (self.index, self.pages) = (index, pages);
-        let ours = |name: &str| self.segments.iter().any(|segment| segment.file == name);
-        let journal = format!("resume-{}", self.generation);
-        remove_files(&self.folder, |name, generation| {
-            generation >= self.generation && name != journal && !ours(name)
-        })?;
-        self.open = self.reopened()?;
-        self.check_written()
-    }
-
-    /// The last segment, cut to what counts, and ready for more.
-    fn reopened(&self) -> Result<Option<BufWriter<File>>, DatasetError> {
-        let Some(segment) = self.segments.last() else {
-            return Ok(None);
-        };
-        let path = self.folder.join(&segment.file);
-        let opened = File::options().read(true).write(true).open(&path);
-        let mut file = opened.map_err(DatasetError::io(&path, "open"))?;
-        let length = file.metadata().map_or(0, |data| data.len());
-        if length < segment.bytes {
-            let why = format!("{length} bytes long, {} were noted", segment.bytes);
-            return Err(DatasetError::damaged(&path, why));
-        }
-        let cut = file
-            .set_len(segment.bytes)
-            .and_then(|()| file.seek(SeekFrom::End(0)));
-        cut.map_err(DatasetError::io(&path, "shorten"))?;
-        Ok(Some(BufWriter::with_capacity(1 << 20, file)))
-    }
-
-    /// Reads all that an unfinished writer wrote.
-    fn check_written(&self) -> Result<(), DatasetError> {
-        let open =
-            |segment: &Segment| Mapped::open(&self.folder.join(&segment.file), segment.bytes);
-        let maps: Vec<Mapped> = self.segments.iter().map(open).collect::<Result<_, _>>()?;
-        self.index.par_iter().try_for_each(|entry| {
-            let map = &maps[entry.segment as usize];
-            let bytes = &map.bytes()[entry.offset as usize..][..entry.bytes as usize];
-            let table = FamilyTable::read(entry, bytes, map.path())?;
-            table.records().try_for_each(|record| record.map(|_| ()))
-        })
-    }
-
     /// From now on, what is written stays when the writer goes, for [`go_on`](Self::go_on).
     pub(crate) fn keep_unfinished(&mut self, keep: bool) {
         self.keep = keep;
@@ -357,101 +291,5 @@ impl DatasetWriter {
         synced
             .and_then(|file| file.sync_all())
             .map_err(DatasetError::io(&path, "write"))
-    }
-
-    /// Writes which samples are fill, and gives what the manifest is to say of it.
-    ///
-    /// # Errors
-    /// [`DatasetError::Io`] if the system refuses.
-    pub fn write_filled(&self, filled: &FilledRuns) -> Result<Filled, DatasetError> {
-        filled.write(&self.folder, self.generation)
-    }
-
-    /// Publishes, and removes what only generations before need.
-    ///
-    /// # Errors
-    /// As [`publish_beside`](Self::publish_beside).
-    pub fn publish(mut self, manifest: Manifest) -> Result<Manifest, DatasetError> {
-        let manifest = self.publish_now(manifest)?;
-        self.remove_unnamed(&manifest)?;
-        Ok(manifest)
-    }
-
-    /// Removes all files that a published manifest does not name. Gives its generation.
-    pub(crate) fn remove_unnamed(&self, manifest: &Manifest) -> Result<u64, DatasetError> {
-        let own = manifest.generation;
-        let named: HashSet<&str> = manifest.segments.iter().map(|s| s.file.as_str()).collect();
-        remove_files(&self.folder, |name, generation| {
-            let is_kept = match name.starts_with("seg-") {
-                true => named.contains(name),
-                false => generation == own && !name.starts_with("resume-"),
-            };
-            !is_kept
-        })?;
-        Ok(own)
-    }
-
-    /// Publishes; the generations before stay on disk. The writer fills in generation, pages,
-    /// segments and index of the manifest.
-    ///
-    /// # Errors
-    /// [`DatasetError::Usage`] if there are more segments than a manifest can name;
-    /// [`DatasetError::Io`] if the system refuses. What was published before then stays.
-    pub(crate) fn publish_beside(mut self, manifest: Manifest) -> Result<Manifest, DatasetError> {
-        self.publish_now(manifest)
-    }
-
-    fn publish_now(&mut self, mut manifest: Manifest) -> Result<Manifest, DatasetError> {
-        self.close_segment()?;
-        self.drop_unused();
-        manifest.generation = self.generation;
-        manifest.pages = self.pages;
-        manifest.index = write_index(&self.folder, self.generation, &mut self.index)?;
-        manifest.segments = std::mem::take(&mut self.segments);
-        let json = manifest.to_json();
-        if json.len() > MAX_MANIFEST_BYTES {
-            return Err(DatasetError::Usage {
-                path: self.folder.clone(),
-                why: format!(
-                    "{} segments are more than a manifest can name; compact the dataset first",
-                    manifest.segments.len()
-                ),
-            });
-        }
-        let current = Current {
-            generation: self.generation,
-            manifest_bytes: json.len() as u64,
-            manifest_crc32c: crc32c(&json),
-        };
-        write_synced(&current.manifest_path(&self.folder), &json)?;
-        sync_folder(&self.folder)?;
-        // From here on CURRENT may name this generation, whatever fails.
-        self.keep = true;
-        current.publish(&self.folder)?;
-        Ok(manifest)
-    }
-
-    /// Leaves out replaced families, and segments in which nothing is left.
-    fn drop_unused(&mut self) {
-        let (shared, replaced) = (self.shared as u32, &self.replaced);
-        self.index
-            .retain(|entry| entry.segment >= shared || !replaced.contains(&entry.family));
-        let mut used = vec![false; self.segments.len()];
-        for entry in &self.index {
-            used[entry.segment as usize] = true;
-        }
-        let mut next = 0;
-        let numbers: Vec<u32> = used
-            .iter()
-            .map(|&used| {
-                next += u32::from(used);
-                next.saturating_sub(1)
-            })
-            .collect();
-        for entry in &mut self.index {
-            entry.segment = numbers[entry.segment as usize];
-        }
-        let mut used = used.into_iter();
-        self.segments.retain(|_| used.next() == Some(true));
     }
 }

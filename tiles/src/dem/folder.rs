@@ -14,7 +14,7 @@ const MAX_ENTRIES: u64 = 1 << 22;
 ///
 /// # Errors
 /// [`DemError::Usage`] for a folder without a DEM; [`DemError::Io`].
-pub(super) fn expand(paths: &[PathBuf]) -> Result<Vec<PathBuf>, DemError> {
+pub fn expand(paths: &[PathBuf]) -> Result<Vec<PathBuf>, DemError> {
     let mut all = Vec::new();
     for path in paths {
         match path.is_dir() && !is_pyramid(path)? {

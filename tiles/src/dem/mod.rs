@@ -56,6 +56,7 @@ use std::path::PathBuf;
 
 pub use error::DemError;
 pub use fill::{DEFAULT_FILL_SAMPLES, Filled, FilledRun, Fills, MAX_FILL_SAMPLES};
+pub use folder::expand;
 pub use mosaic::{JoinOptions, MAX_SEAM_SAMPLES, Mosaic, OverlapReport, Priority, Seam};
 pub use open::{join_all, open, open_all};
 pub use raw::RawShape;

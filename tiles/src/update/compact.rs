@@ -47,7 +47,11 @@ pub fn compact(
     }
     let generation = match segments.is_empty() {
         true => writer.remove_unnamed(dataset.manifest())?,
-        false => writer.publish(dataset.manifest().clone())?.generation,
+        false => {
+            let mut manifest = dataset.manifest().clone();
+            manifest.filled = writer.write_filled(&dataset.filled()?)?;
+            writer.publish(manifest)?.generation
+        }
     };
     Ok(CompactReport {
         generation,

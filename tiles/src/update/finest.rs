@@ -5,21 +5,45 @@ use super::mend::{Mended, mend, pages_at};
 use super::old::{self, Pages};
 use super::place::Rectangle;
 use crate::build::{Band, BuildError, FAMILY_CELLS, HOLE, Level, Rows, SourceRows};
-use crate::dataset::{Dataset, PageReader};
+use crate::dataset::{Dataset, FilledRuns, PageReader};
 use escarp_proto::geometry::{PAGE_CELLS, PageId};
 use escarp_proto::page::Range;
 use std::collections::HashSet;
+use std::sync::Arc;
 
 /// A source at its place in the grid.
 pub(super) struct Patch<'a> {
     pub(super) place: Rectangle,
     pub(super) rows: SourceRows<'a>,
+    /// Which of its samples are fill.
+    pub(super) fills: Arc<FilledRuns>,
 }
 
 /// A patch's rows within a row of families, southern row first.
 pub(super) struct PatchBand {
     place: Rectangle,
     heights: Vec<i32>,
+    fills: Arc<FilledRuns>,
+}
+
+impl PatchBand {
+    /// Columns and heights of a row of the grid, holes included.
+    pub(super) fn row(&self, y: u32) -> impl Iterator<Item = (u32, i32)> {
+        let width = (self.place.x[1] - self.place.x[0] + 1) as usize;
+        let is_in = self.place.y[0] <= y && y <= self.place.y[1];
+        let start = if is_in {
+            (y - self.place.y[0]) as usize * width
+        } else {
+            0
+        };
+        let row = &self.heights[start..start + if is_in { width } else { 0 }];
+        (self.place.x[0]..).zip(row.iter().copied())
+    }
+
+    /// Which samples of the patch are fill.
+    pub(super) fn fills(&self) -> &FilledRuns {
+        &self.fills
+    }
 }
 
 impl Patch<'_> {
@@ -39,7 +63,11 @@ impl Patch<'_> {
             x: self.place.x,
             y: [south, north],
         };
-        Ok(Some(PatchBand { place, heights }))
+        Ok(Some(PatchBand {
+            place,
+            heights,
+            fills: self.fills.clone(),
+        }))
     }
 }
 
@@ -134,7 +162,7 @@ pub(super) fn mend_finest(
             continue;
         }
         mark(level, (x, y), &mut dirty);
-        if x % PAGE_CELLS == 0 && y % PAGE_CELLS == 0 {
+        if x.is_multiple_of(PAGE_CELLS) && y.is_multiple_of(PAGE_CELLS) {
             let corner = ((x / PAGE_CELLS) as u32, (y / PAGE_CELLS) as u32);
             corners.push((corner, new));
         }

@@ -99,7 +99,9 @@ pub(super) fn reached(level: &Level, change: &Change) -> BTreeMap<(usize, usize)
         }
     }
     for page in change.slots.keys() {
-        page.parent().map(|(parent, _)| add(parent));
+        if let Some((parent, _)) = page.parent() {
+            add(parent);
+        }
     }
     for pages in reached.values_mut() {
         pages.sort_unstable();

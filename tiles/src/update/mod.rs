@@ -7,6 +7,7 @@
 
 mod compact;
 mod extremes;
+mod fills;
 mod finest;
 mod mend;
 pub(crate) mod old;
@@ -14,19 +15,21 @@ mod place;
 
 pub use compact::{CompactReport, compact};
 
-use crate::build::{BuildError, Level, Progress, Rows, SourceRows};
-use crate::dataset::{Dataset, DatasetWriter};
+use crate::build::{BuildError, FAMILY_CELLS, Level, Progress, Rows, SourceRows};
+use crate::dataset::{Dataset, DatasetWriter, FilledRun, FilledRuns};
 use crate::dem::DemSource;
 use escarp_proto::manifest::Manifest;
 use escarp_proto::page::Codec;
 use escarp_proto::page::Range;
 use extremes::{End, extreme};
+use fills::fills_of_row;
 use finest::{Finest, Patch, PatchBand, Sums, Wish, families, mend_finest};
 use mend::{Change, Mended, mend_above, reached};
 use place::{Rectangle, place, rectangle};
 use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
 
 /// What is to change.
 pub struct Edit<'a> {
@@ -73,14 +76,17 @@ pub fn update(
     let mut patches = Vec::new();
     for source in edit.patches {
         let place = place(dataset.manifest(), source.info())?;
+        let fills = placed_fills(source, place);
         let rows = SourceRows::new(source, dataset.manifest().georef.quantum_m);
-        patches.push(Patch { place, rows });
+        patches.push(Patch { place, rows, fills });
     }
     let mut run = Run {
         dataset,
         writer: DatasetWriter::extend(dataset)?,
         pages: 0,
         families: 0,
+        filled: dataset.filled()?,
+        fills: Vec::new(),
     };
     let manifest = dataset.manifest();
     let [width, height] = manifest.samples;
@@ -103,7 +109,8 @@ pub fn update(
         families: 0,
         bytes: 0,
     };
-    if sums.changed == 0 {
+    let filled = run.filled(&reach);
+    if sums.changed == 0 && filled == run.filled {
         return Ok(report);
     }
     run.above(finest, change)?;
@@ -119,11 +126,23 @@ pub fn update(
     for stored in patches.iter().filter_map(|patch| patch.rows.stored()) {
         next.storage_error_m = next.storage_error_m.max(stored.largest_error_m);
     }
+    next.filled = run.writer.write_filled(&filled)?;
     add_sources(&mut next, edit.sources);
     (report.pages, report.families) = (run.pages, run.families);
     report.bytes = run.writer.bytes();
     report.generation = run.writer.publish_beside(next)?.generation;
     Ok(report)
+}
+
+/// Samples of a patch that are fill, in the grid of the dataset.
+fn placed_fills(source: &dyn DemSource, place: Rectangle) -> Arc<FilledRuns> {
+    let runs = source.fills().map_or(&[][..], |fills| &fills.runs);
+    let placed = runs.iter().map(|run| FilledRun {
+        y: place.y[1] - run.row,
+        x: place.x[0] + run.column,
+        length: run.length,
+    });
+    Arc::new(FilledRuns::new(placed.collect()))
 }
 
 /// The rectangles that are to be removed.
@@ -177,9 +196,21 @@ struct Run<'a> {
     writer: DatasetWriter,
     pages: u64,
     families: u64,
+    /// Samples that were fill before.
+    filled: FilledRuns,
+    /// Samples in rows within reach that are fill now.
+    fills: Vec<FilledRun>,
 }
 
 impl Run<'_> {
+    /// Samples that are fill now.
+    fn filled(&self, reach: &[Rectangle]) -> FilledRuns {
+        let is_touched = |y: u32| reach.iter().any(|r| r.y[0] <= y && y <= r.y[1]);
+        let before = self.filled.runs().iter();
+        let untouched = before.filter(|run| !is_touched(run.y)).copied();
+        FilledRuns::new(untouched.chain(self.fills.iter().copied()).collect())
+    }
+
     /// Mends the finest level, a row of families at a time, from north to south.
     fn finest(
         &mut self,
@@ -203,6 +234,13 @@ impl Run<'_> {
                 reach,
                 range: Range { lo, hi },
             };
+            let [width, height] = self.dataset.manifest().samples;
+            for y in own_rows(row, height) {
+                if reach.iter().any(|r| r.y[0] <= y && y <= r.y[1]) {
+                    let fills = fills_of_row(&wish, &self.filled, y, width);
+                    self.fills.extend(fills);
+                }
+            }
             let own = |r: &&Rectangle| families(r.y, rows).contains(&row);
             let across = reach
                 .iter()
@@ -261,6 +299,16 @@ impl Run<'_> {
             Some(bytes) => Ok(self.writer.append(&bytes)?),
             None => Ok(()),
         }
+    }
+}
+
+/// Rows of samples that count as those of a row of families, not of the one to its north.
+fn own_rows(row: usize, height: u32) -> std::ops::Range<u32> {
+    let cells = FAMILY_CELLS as u32;
+    let first = row as u32 * cells;
+    match first + cells + 1 >= height {
+        true => first..height,
+        false => first..first + cells,
     }
 }
 
