@@ -6,6 +6,8 @@ pub mod dem;
 
 pub mod crs;
 
+pub mod place;
+
 pub mod synth;
 
 pub mod frame;
@@ -13,6 +15,8 @@ pub mod frame;
 pub mod build;
 
 pub mod dataset;
+
+pub mod export;
 
 pub mod verify;
 

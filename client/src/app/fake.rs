@@ -207,5 +207,8 @@ pub(crate) fn manifest(
             crc32c: 0,
         },
         sources: vec!["a formula".into()],
+        vertical: None,
+        scale_error_percent: None,
+        resampling: None,
     }
 }

@@ -14,7 +14,7 @@ pub use quantise::{Quantum, choose_quantum};
 
 use crate::dataset::{DatasetError, DatasetWriter};
 use crate::dem::{DemError, DemSource};
-use crate::frame::georef_of;
+use crate::frame::{georef_of, scale_error_percent};
 use escarp_proto::geometry::GridLevels;
 use escarp_proto::manifest::{FORMAT, FileCheck, Manifest, VERSION};
 use escarp_proto::page::PageError;
@@ -103,6 +103,9 @@ pub fn build(
             crc32c: 0,
         },
         sources,
+        vertical: info.vertical.clone(),
+        scale_error_percent: scale_error_percent(&info),
+        resampling: None,
     };
     manifest.check().map_err(unfit)?;
     let mut writer = DatasetWriter::create(folder, options.overwrite)?;
@@ -113,6 +116,7 @@ pub fn build(
     manifest.valid_samples = stored.valid_samples;
     manifest.height_range = stored.range;
     manifest.storage_error_m = stored.largest_error_m;
+    manifest.resampling = source.resampling();
     Ok(writer.publish(manifest)?)
 }
 

@@ -1,10 +1,12 @@
 //! The command line of `escarp-tiles`.
 
 mod build;
+mod export;
 mod grid;
 mod info;
 mod input;
 mod mosaic;
+mod place;
 mod progress;
 mod source;
 mod verify;
@@ -29,6 +31,8 @@ Examples:
   escarp-tiles build moon.tif -o moon.escarp
   escarp-tiles build srtm/*.hgt.zip -o sierra.escarp       several inputs make one mosaic
   escarp-tiles build heights.png --spacing 160 --height-step 0.1 -o puget.escarp
+  escarp-tiles build everest.tif --crs EPSG:32645 --spacing 90 -o everest.escarp
+  escarp-tiles export everest.escarp --bounds 480000,3090000,500000,3110000 -o part.tif
   escarp-tiles verify moon.escarp --against moon.tif
   escarp-tiles sample -o demo.tif --size 2048 --seed 7
 
@@ -42,6 +46,8 @@ enum Command {
     Info(info::InfoArgs),
     /// Check every checksum, and bounds by brute force
     Verify(verify::VerifyArgs),
+    /// Write a dataset's heights as a GeoTIFF
+    Export(export::ExportArgs),
     /// Write a synthetic DEM: ridges, valleys, a lake, a cliff, detail
     Sample(SampleArgs),
 }
@@ -68,6 +74,7 @@ pub fn run(cli: Cli) -> Result<ExitCode> {
         Command::Build(args) => build::run(&args),
         Command::Info(args) => info::run(&args),
         Command::Verify(args) => verify::run(&args),
+        Command::Export(args) => export::run(&args),
         Command::Sample(args) => {
             crate::synth::write_geotiff(&args.output, args.size, args.seed)?;
             let (file, side) = (args.output.display(), args.size);

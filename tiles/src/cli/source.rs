@@ -22,7 +22,9 @@ pub(super) struct SourceArgs {
 impl SourceArgs {
     /// Opens the inputs, joins them, and brings them to the dataset's grid.
     pub(super) fn open(&self, inputs: &[PathBuf]) -> Result<Box<dyn DemSource>> {
-        let joined = self.mosaic.join(inputs, &self.input.options())?;
-        self.grid.place(joined)
+        let options = self.input.options();
+        let joined = self.mosaic.join(inputs, &options)?;
+        // Without georeference the reader has already laid its samples so far apart.
+        self.grid.place(joined, options.spacing_m)
     }
 }
