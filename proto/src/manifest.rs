@@ -12,6 +12,8 @@ pub const FORMAT: &str = "escarp";
 pub const VERSION: u32 = 1;
 /// No manifest is longer.
 pub const MAX_MANIFEST_BYTES: usize = 1 << 20;
+/// No file of filled samples is longer.
+pub const MAX_FILLED_BYTES: u64 = 1 << 28;
 
 /// What a dataset is, and where its parts are.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -54,6 +56,14 @@ pub struct Manifest {
     /// What it cost to bring the sources to this grid; absent if their samples are its.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub resampling: Option<Resampling>,
+    /// Samples that are no data but fill, and the file that says which; absent if nothing was
+    /// filled.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub filled: Option<Filled>,
+    /// What was stored coarser than given, and by how much; the first that holds a place counts.
+    /// Empty if everything is stored as given.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub tolerances: Vec<Tolerance>,
 }
 
 /// How sources were brought to another grid, and what that cost.
@@ -76,6 +86,28 @@ pub struct Resampling {
     /// How far from its place a height may have been taken, metres, rounded up. Differences of
     /// datums that the transform does not know are not in it.
     pub horizontal_error_m: f64,
+}
+
+/// Samples that are no data but fill.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Filled {
+    /// How many; they count as samples with data, too.
+    pub samples: u64,
+    /// Length in bytes and CRC-32C of the file that says which.
+    pub file: FileCheck,
+}
+
+/// How much coarser a region is stored than given.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Tolerance {
+    /// The most that was allowed, metres.
+    pub tolerance_m: f64,
+    /// The file that outlines the region; absent for everything else.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub region: Option<String>,
+    /// The largest difference of a stored sample in the region from its source, metres, rounded
+    /// up.
+    pub largest_error_m: f64,
 }
 
 /// A file of page records.
@@ -148,8 +180,30 @@ impl Manifest {
         if self.codec != 0 {
             return Err(format!("codec {}, allowed is 0", self.codec));
         }
+        self.check_changes()?;
         self.georef.check()?;
         self.check_extent()
+    }
+
+    /// What is said of samples that are not as given.
+    fn check_changes(&self) -> Result<(), String> {
+        if let Some(Filled { samples, file }) = self.filled
+            && (samples > self.valid_samples || file.bytes > MAX_FILLED_BYTES)
+        {
+            return Err(format!(
+                "{samples} filled samples in {} bytes, allowed are {} in {MAX_FILLED_BYTES}",
+                file.bytes, self.valid_samples
+            ));
+        }
+        let is_length = |metres: f64| metres.is_finite() && metres >= 0.0;
+        let is_sound = |t: &&Tolerance| is_length(t.tolerance_m) && is_length(t.largest_error_m);
+        match self.tolerances.iter().find(|t| !is_sound(t)) {
+            None => Ok(()),
+            Some(t) => Err(format!(
+                "a tolerance of {} m with an error of {} m",
+                t.tolerance_m, t.largest_error_m
+            )),
+        }
     }
 
     /// No corner of the grid may lie where no eye may be: beyond, differences of coordinates lose
@@ -216,12 +270,28 @@ mod tests {
             vertical: None,
             scale_error_percent: None,
             resampling: None,
+            filled: None,
+            tolerances: Vec::new(),
         }
     }
 
     #[test]
     fn a_manifest_comes_back_from_its_json() {
         assert_eq!(Manifest::from_json(&manifest().to_json()), Ok(manifest()));
+        let mut changed = manifest();
+        changed.filled = Some(Filled {
+            samples: 9,
+            file: FileCheck {
+                bytes: 30,
+                crc32c: 5,
+            },
+        });
+        changed.tolerances = vec![Tolerance {
+            tolerance_m: 5.0,
+            region: Some("road.geojson".into()),
+            largest_error_m: 4.5,
+        }];
+        assert_eq!(Manifest::from_json(&changed.to_json()), Ok(changed));
     }
 
     #[test]
@@ -237,6 +307,26 @@ mod tests {
         assert!(refusal(|m| m.height_range = Some([4, 3])).contains("heights"));
         assert!(refusal(|m| m.storage_error_m = -1.0).contains("storage error"));
         assert!(refusal(|m| m.codec = 9).contains("codec"));
+        let filled = |samples, bytes| Filled {
+            samples,
+            file: FileCheck { bytes, crc32c: 0 },
+        };
+        let mut broken = manifest();
+        for wrong in [filled(20_001, 9), filled(1, 1 << 29)] {
+            broken.filled = Some(wrong);
+            let refusal = Manifest::from_json(&broken.to_json()).unwrap_err();
+            assert!(refusal.contains("filled samples"), "{refusal}");
+        }
+        assert!(
+            refusal(|m| {
+                m.tolerances = vec![Tolerance {
+                    tolerance_m: -1.0,
+                    region: None,
+                    largest_error_m: 0.0,
+                }]
+            })
+            .contains("tolerance")
+        );
         assert!(refusal(|m| m.georef.quantum_m = 0.0).contains("quantum"));
         assert!(refusal(|m| m.georef.sample_spacing_m[1] = 1e300).contains("spacing"));
         assert!(refusal(|m| m.georef.origin_m[0] = -1e13).contains("corner"));

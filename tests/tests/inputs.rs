@@ -189,7 +189,7 @@ fn a_ramp_in_a_png_comes_out_exact_with_spacing_step_and_offset() {
         spacing_m: Some(30.0),
         height_step_m: Some(0.25),
         height_offset_m: Some(-50.0),
-        nodata: None,
+        ..OpenOptions::default()
     };
     let dataset = build_files(folder.path(), &[path], &options);
     assert_eq!(dataset.manifest().georef.plane, Plane::Local);

@@ -210,5 +210,7 @@ pub(crate) fn manifest(
         vertical: None,
         scale_error_percent: None,
         resampling: None,
+        filled: None,
+        tolerances: Vec::new(),
     }
 }

@@ -134,5 +134,7 @@ fn manifest() -> Manifest {
         vertical: None,
         scale_error_percent: None,
         resampling: None,
+        filled: None,
+        tolerances: Vec::new(),
     }
 }

@@ -120,6 +120,15 @@ impl Band {
         (x < self.stride && height != HOLE).then_some(height)
     }
 
+    /// Whether all samples of the family that starts at a column are holes, borders included.
+    fn is_empty_below(&self, column: usize) -> bool {
+        self.samples.chunks_exact(self.stride).all(|row| {
+            row[column..=column + FAMILY_CELLS]
+                .iter()
+                .all(|&h| h == HOLE)
+        })
+    }
+
     /// Whether a sample is a corner of a valid finest triangle, as far as the band shows. Each of
     /// the four cells around it has one triangle with a right angle at the sample or opposite it,
     /// and, where the cell's diagonal starts at the sample, two.
@@ -243,6 +252,9 @@ impl Level {
         } else {
             FAMILY_CELLS
         };
+        if !rows.may_have_data(first as u32, n as u32) {
+            return Ok(());
+        }
         let mut read = vec![HOLE; n * self.width];
         rows.read(first as u32, n as u32, &mut read)?;
         for (row, samples) in read.chunks_exact(self.width).enumerate() {
@@ -261,6 +273,14 @@ impl Level {
         let mut records = Vec::new();
         let mut left = Vec::new();
         let mut id = FamilyId::ROOT;
+        let is_finest = slots.is_none();
+        if is_finest && self.level > 0 && band.is_empty_below(column * FAMILY_CELLS) {
+            // Its slots are empty until told otherwise.
+            return Ok(Family {
+                bytes: None,
+                slots: left,
+            });
+        }
         for slot in (0..PAGE_SLOTS).map(|i| Slot::from_index(i as u8)) {
             let (dx, dy) = slot.position();
             let (x, y) = (column * PAGE_CELLS + dx, number * PAGE_CELLS + dy);

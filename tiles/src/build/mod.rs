@@ -12,8 +12,8 @@ mod rows;
 
 pub use quantise::{Quantum, choose_quantum};
 
-use crate::dataset::{DatasetError, DatasetWriter};
-use crate::dem::{DemError, DemSource};
+use crate::dataset::{DatasetError, DatasetWriter, FilledRun, FilledRuns};
+use crate::dem::{self, DemError, DemSource, Fills};
 use crate::frame::{georef_of, scale_error_percent};
 use escarp_proto::geometry::GridLevels;
 use escarp_proto::manifest::{FORMAT, FileCheck, Manifest, VERSION};
@@ -106,6 +106,8 @@ pub fn build(
         vertical: info.vertical.clone(),
         scale_error_percent: scale_error_percent(&info),
         resampling: None,
+        filled: None,
+        tolerances: Vec::new(),
     };
     manifest.check().map_err(unfit)?;
     let mut writer = DatasetWriter::create(folder, options.overwrite)?;
@@ -113,11 +115,27 @@ pub fn build(
     if stored.valid_samples == 0 {
         return Err(unfit("no sample has data: every one is a hole".into()));
     }
+    manifest.filled = match source.fills() {
+        Some(fills) if fills.samples > 0 => {
+            Some(writer.write_filled(&grid_runs(fills, info.height))?)
+        }
+        _ => None,
+    };
     manifest.valid_samples = stored.valid_samples;
     manifest.height_range = stored.range;
     manifest.storage_error_m = stored.largest_error_m;
     manifest.resampling = source.resampling();
     Ok(writer.publish(manifest)?)
+}
+
+/// Filled samples by grid rows, which are counted from the south.
+fn grid_runs(fills: &Fills, height: u32) -> FilledRuns {
+    let run = |run: &dem::FilledRun| FilledRun {
+        y: height - 1 - run.row,
+        x: run.column,
+        length: run.length,
+    };
+    FilledRuns::new(fills.runs.iter().map(run).collect())
 }
 
 /// Makes the pages of all levels, finest first.

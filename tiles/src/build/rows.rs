@@ -13,6 +13,12 @@ pub(super) trait Rows {
     /// southern row first; all of them lie within the data.
     fn read(&mut self, first: u32, n: u32, out: &mut [i32]) -> Result<(), BuildError>;
 
+    /// Whether rows `first..first + n` may hold a height: if not, they need not be read.
+    fn may_have_data(&self, first: u32, n: u32) -> bool {
+        let _ = (first, n);
+        true
+    }
+
     /// What hangs below each cell; nothing does below the finest.
     fn slots(&self) -> Option<&Slots> {
         None
@@ -88,6 +94,11 @@ impl<'a> SourceRows<'a> {
 }
 
 impl Rows for SourceRows<'_> {
+    fn may_have_data(&self, first: u32, n: u32) -> bool {
+        let first_row = self.source.info().height - first - n;
+        !self.source.data_columns(first_row, n).is_empty()
+    }
+
     fn read(&mut self, first: u32, n: u32, out: &mut [i32]) -> Result<(), BuildError> {
         let (width, height) = (self.source.info().width as usize, self.source.info().height);
         // Row 0 of a source is the northern one.

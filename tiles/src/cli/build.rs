@@ -4,7 +4,7 @@ use super::progress::Progress;
 use super::source::SourceArgs;
 use crate::build::{BuildOptions, Quantum, build};
 use crate::dataset::Dataset;
-use crate::dem::OverlapReport;
+use crate::dem::{Fills, OverlapReport};
 use crate::process;
 use anyhow::{Context, Result};
 use clap::Args;
@@ -86,6 +86,7 @@ pub(super) fn run(args: &BuildArgs) -> Result<ExitCode> {
     )?;
     progress.end();
     let overlaps = source.overlaps();
+    let fills = source.fills().cloned();
     let bytes = Dataset::open(&args.output)?.total_bytes();
     let samples = u64::from(manifest.samples[0]) * u64::from(manifest.samples[1]);
     let (wall_s, usage) = (started.elapsed().as_secs_f64(), process::usage());
@@ -99,6 +100,10 @@ pub(super) fn run(args: &BuildArgs) -> Result<ExitCode> {
             "cpu_s": usage.map(|u| u.cpu_s), "peak_memory_bytes": usage.map(|u| u.peak_memory_bytes),
             "overlaps": overlaps.map(|o| json!({
                 "overlapping": o.overlapping, "differing": o.differing, "largest_m": o.largest_m,
+                "largest_at": o.largest_at,
+            })),
+            "fills": fills.map(|f| json!({
+                "samples": f.samples, "voids": f.voids, "voids_left": f.left,
             })),
         });
         println!("{summary:#}");
@@ -132,6 +137,9 @@ pub(super) fn run(args: &BuildArgs) -> Result<ExitCode> {
     }
     super::place::print(&manifest);
     super::place::warn(&manifest);
+    if let Some(fills) = fills {
+        print_fills(&fills, samples);
+    }
     if let Some(overlaps) = overlaps {
         print_overlaps(&overlaps);
     }
@@ -152,13 +160,24 @@ pub(super) fn rounded_up(metres: f64) -> f64 {
     (metres * 1e6).ceil() / 1e6
 }
 
+fn print_fills(fills: &Fills, samples: u64) {
+    let share = 100.0 * fills.samples as f64 / samples as f64;
+    println!(
+        "{} voids filled, {} samples ({share:.2} %); {} larger ones stay holes",
+        fills.voids, fills.samples, fills.left
+    );
+}
+
 fn print_overlaps(overlaps: &OverlapReport) {
     let OverlapReport {
         overlapping,
         differing,
         largest_m,
+        largest_at,
     } = overlaps;
-    println!(
-        "inputs overlap at {overlapping} samples and differ at {differing}, by at most {largest_m} m"
-    );
+    print!("inputs overlap at {overlapping} samples and differ at {differing}");
+    match largest_at {
+        Some([x, y]) => println!(", by at most {largest_m} m, at {x} east, {y} north"),
+        None => println!(),
+    }
 }

@@ -45,6 +45,13 @@ pub(super) fn run(args: &InfoArgs) -> Result<ExitCode> {
         "samples     {width} x {height}, {} with data",
         manifest.valid_samples
     );
+    if let Some(filled) = &manifest.filled {
+        let share = 100.0 * filled.samples as f64 / manifest.valid_samples as f64;
+        println!(
+            "filled      {} of these samples, {share:.2} %",
+            filled.samples
+        );
+    }
     let [dx, dy] = georef.sample_spacing_m;
     println!("spacing     {dx:.4} m east, {dy:.4} m north");
     println!("plane       {}", describe(&georef.plane));

@@ -3,7 +3,7 @@
 use super::grid::GridArgs;
 use super::input::InputArgs;
 use super::mosaic::MosaicArgs;
-use crate::dem::DemSource;
+use crate::dem::{DemSource, expand};
 use anyhow::Result;
 use clap::Args;
 use std::path::PathBuf;
@@ -20,11 +20,13 @@ pub(super) struct SourceArgs {
 }
 
 impl SourceArgs {
-    /// Opens the inputs, joins them, and brings them to the dataset's grid.
+    /// Opens the inputs, joins them, brings them to the dataset's grid, and fills voids.
     pub(super) fn open(&self, inputs: &[PathBuf]) -> Result<Box<dyn DemSource>> {
+        let inputs = expand(inputs)?;
         let options = self.input.options();
-        let joined = self.mosaic.join(inputs, &options)?;
+        let joined = self.mosaic.join(&inputs, &options)?;
         // Without georeference the reader has already laid its samples so far apart.
-        self.grid.place(joined, options.spacing_m)
+        let placed = self.grid.place(joined, options.spacing_m)?;
+        self.mosaic.fill(placed)
     }
 }

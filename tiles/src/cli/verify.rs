@@ -95,8 +95,8 @@ fn print(report: &VerifyReport, against: Option<Against>, allowed_m: f64) {
             found.samples, found.largest_difference_m
         );
         println!(
-            "            {} samples missing, {} invented",
-            found.missing, found.invented
+            "            {} samples missing, {} filled, {} invented",
+            found.missing, found.filled, found.invented
         );
     }
 }

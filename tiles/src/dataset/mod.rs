@@ -9,6 +9,7 @@
 mod current;
 mod error;
 mod family;
+mod filled;
 mod index;
 mod map;
 mod read;
@@ -17,6 +18,7 @@ mod write;
 pub use current::{Current, current_path};
 pub use error::DatasetError;
 pub use family::{FamilyId, FamilyTable, StoredRecord};
+pub use filled::{FilledRun, FilledRuns};
 pub use index::IndexEntry;
 pub use read::PageReader;
 pub use write::{DatasetWriter, FamilyBytes, MAX_SEGMENT_BYTES};
@@ -99,7 +101,16 @@ impl Dataset {
             .iter()
             .map(|segment| segment.bytes)
             .sum();
-        segments + self.manifest.index.bytes + self.manifest_json.len() as u64
+        let filled = self.manifest.filled.map_or(0, |filled| filled.file.bytes);
+        segments + filled + self.manifest.index.bytes + self.manifest_json.len() as u64
+    }
+
+    /// Which samples are no data but fill.
+    ///
+    /// # Errors
+    /// [`DatasetError`] if the file that says so is missing, or is not what the manifest says.
+    pub fn filled(&self) -> Result<FilledRuns, DatasetError> {
+        FilledRuns::read(&self.folder, &self.manifest)
     }
 
     /// A page's record, checked against its revision. `None` if none is stored.

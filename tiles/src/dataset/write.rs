@@ -4,10 +4,10 @@
 use super::current::{Current, sync_folder};
 use super::family::encode_family;
 use super::index::{IndexEntry, write_index, write_synced};
-use super::{DatasetError, FamilyId};
+use super::{DatasetError, FamilyId, FilledRuns};
 use crate::checksum::crc32c;
 use escarp_proto::geometry::Slot;
-use escarp_proto::manifest::{Manifest, Segment};
+use escarp_proto::manifest::{Filled, Manifest, Segment};
 use std::fs::{self, File};
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
@@ -173,6 +173,14 @@ impl DatasetWriter {
             .map_err(DatasetError::io(&path, "write"))
     }
 
+    /// Writes which samples are fill, and gives what the manifest is to say of it.
+    ///
+    /// # Errors
+    /// [`DatasetError::Io`] if the system refuses.
+    pub fn write_filled(&self, filled: &FilledRuns) -> Result<Filled, DatasetError> {
+        filled.write(&self.folder, self.generation)
+    }
+
     /// Publishes. The writer fills in generation, pages, segments and index of the manifest, and
     /// removes the generation before.
     ///
@@ -202,7 +210,7 @@ impl DatasetWriter {
 
 /// The generation in the name of one of a dataset's files.
 fn generation_of(name: &str) -> Option<u64> {
-    let rest = ["manifest-", "index-", "seg-"]
+    let rest = ["manifest-", "index-", "seg-", "filled-"]
         .iter()
         .find_map(|prefix| name.strip_prefix(prefix))?;
     let digits = rest.split(['-', '.']).next()?;

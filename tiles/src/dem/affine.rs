@@ -78,11 +78,27 @@ impl ModelTags {
     }
 }
 
+/// The layout of a raster whose sample (column, row) lies at
+/// x = a * column + b * row + c, y = d * column + e * row + f.
+///
+/// # Errors
+/// As [`ModelTags::layout`].
+pub(super) fn of_first_sample(
+    [a, b, c, d, e, f]: [f64; 6],
+    height: u32,
+    path: &Path,
+) -> Result<Layout, DemError> {
+    if b.abs() > 1e-9 * a.abs() || d.abs() > 1e-9 * e.abs() {
+        return Err(needs_warp(path, "a rotated or sheared raster"));
+    }
+    check(upright(a, e, c, f, height), path)
+}
+
 /// A raster whose first stored row has its sample at `(x, y)`; `step_y` is negative when north-up.
 fn upright(step_x: f64, step_y: f64, x: f64, y: f64, height: u32) -> Layout {
     let south_up = step_y > 0.0;
     let y0 = if south_up {
-        y + step_y * f64::from(height - 1)
+        y + step_y * (f64::from(height) - 1.0)
     } else {
         y
     };

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, thiserror::Error)]
 pub enum DemError {
     /// The file is of another kind: the user gave the wrong file.
-    #[error("{}: not a DEM that Escarp reads: {found}; it reads GeoTIFF, SRTM .hgt and .hgt.zip, and greyscale PNG; most others become one by: gdal_translate INPUT OUTPUT.tif", path.display())]
+    #[error("{}: not a DEM that Escarp reads: {found}; it reads GeoTIFF, .hgt, DTED, ESRI ASCII grids, .bil/.flt/ENVI with their .hdr, USGS ASCII DEM, greyscale and RGB-coded PNG, ASCII matrices, gzip and zip around them, and anything by --raw WIDTHxHEIGHT:TYPE; most others become a GeoTIFF by: gdal_translate INPUT OUTPUT.tif", path.display())]
     NotADem {
         /// The file.
         path: PathBuf,
@@ -129,6 +129,31 @@ impl DemError {
             what: what.into(),
             hint: hint.into(),
         }
+    }
+
+    /// The same error with another path, and other texts: for files that the user does not know.
+    pub(super) fn renamed(
+        mut self,
+        to: impl FnOnce(PathBuf) -> PathBuf,
+        text: impl Fn(&str) -> String,
+    ) -> Self {
+        match &mut self {
+            Self::NotADem { found, .. } => *found = text(found),
+            Self::Damaged { found, .. } => *found = text(found),
+            Self::Unsupported { what, hint, .. } | Self::Usage { what, hint, .. } => {
+                (*what, *hint) = (text(what), text(hint));
+            }
+            Self::Limits { what, .. } => *what = text(what),
+            Self::Io { .. } => {}
+        }
+        let (Self::NotADem { path, .. }
+        | Self::Damaged { path, .. }
+        | Self::Unsupported { path, .. }
+        | Self::Limits { path, .. }
+        | Self::Usage { path, .. }
+        | Self::Io { path, .. }) = &mut self;
+        *path = to(std::mem::take(path));
+        self
     }
 
     pub(super) fn io(path: &Path, doing: &'static str, source: std::io::Error) -> Self {

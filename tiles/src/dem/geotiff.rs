@@ -14,11 +14,15 @@ use super::chunks::{Chunk, Chunks, FileDecoder, SharedFile, decoder, explain};
 use super::error::in_and_out;
 use super::geokeys::GeoKeys;
 use super::heights::{self, HeightRule};
-use super::open::local_placement;
+use super::side;
 use super::{Crs, DemError, DemInfo, DemSource, OpenOptions, SampleType};
 
 /// `GDAL_METADATA`: XML with scale, offset and unit of the band.
 const GDAL_METADATA: Tag = Tag::Unknown(42112);
+
+/// How the refusals start that [`super::handover`] may help with.
+pub(super) const COMPRESSION: &str = "TIFF compression";
+pub(super) const SAMPLE_FORMAT: &str = "sample format";
 
 /// The longest text tag that is read, in bytes; longer ones are cut.
 const MAX_TEXT_BYTES: u64 = 1 << 20;
@@ -283,7 +287,7 @@ fn sample_type(tiff: &mut FileDecoder, path: &Path) -> Result<SampleType, DemErr
                 "convert it: gdal_translate -ot Float32 {}",
                 in_and_out(path)
             );
-            let what = format!("sample format {format} with {bits} bits");
+            let what = format!("{SAMPLE_FORMAT} {format} with {bits} bits");
             Err(DemError::unsupported(path, what, hint))
         }
     }
@@ -310,7 +314,7 @@ fn check_compression(code: u16, path: &Path) -> Result<(), DemError> {
     );
     Err(DemError::unsupported(
         path,
-        format!("TIFF compression {code} ({name})"),
+        format!("{COMPRESSION} {code} ({name})"),
         hint,
     ))
 }
@@ -336,32 +340,15 @@ fn place(
         tiepoints: doubles(tiff, Tag::ModelTiepointTag, path)?,
         transformation: doubles(tiff, Tag::ModelTransformationTag, path)?,
     };
-    let layout = tags.layout(height, keys.registration(), path)?;
-    let crs = keys.crs(path)?;
-    match (layout, crs) {
-        (Some(layout), Some(crs)) => Ok((layout, crs)),
-        (Some(_), None) if options.spacing_m.is_none() => {
-            let hint = format!(
-                "name it: gdal_translate -a_srs EPSG:CODE {}, or give --spacing in metres",
-                in_and_out(path)
-            );
-            Err(DemError::usage(
-                path,
-                "it is placed, but in no named coordinate system",
-                hint,
-            ))
-        }
-        _ => {
-            let placement = local_placement(options, path)?;
-            Ok((
-                Layout {
-                    placement,
-                    south_up: false,
-                },
-                Crs::Local,
-            ))
-        }
-    }
+    let layout = match tags.layout(height, keys.registration(), path)? {
+        None => side::world_file(path, height)?,
+        found => found,
+    };
+    let crs = match keys.crs(path)? {
+        None if layout.is_some() => side::projection(path, options)?.map(|p| p.crs),
+        found => found,
+    };
+    side::settle(layout, crs, path, options)
 }
 
 /// Scale, offset, unit and nodata as GDAL and the GeoKeys state them.

@@ -33,8 +33,12 @@ impl HeightRule {
         sample_type: SampleType,
         path: &std::path::Path,
     ) -> Result<Self, DemError> {
+        let white_m = match options.max_height_m {
+            Some(max_height_m) => Some(step_of_white(max_height_m, sample_type, path)?),
+            None => None,
+        };
         let rule = Self {
-            step_m: options.height_step_m.unwrap_or(file.step_m),
+            step_m: options.height_step_m.or(white_m).unwrap_or(file.step_m),
             offset_m: options.height_offset_m.unwrap_or(file.offset_m),
             // Every NaN is a hole anyway, and would make no two infos equal.
             nodata: options
@@ -60,6 +64,23 @@ impl HeightRule {
             f64::NAN
         } else {
             stored * self.step_m + self.offset_m
+        }
+    }
+}
+
+/// Metres of one grey level, where the whitest stands for `max_height_m`.
+fn step_of_white(
+    max_height_m: f64,
+    sample_type: SampleType,
+    path: &std::path::Path,
+) -> Result<f64, DemError> {
+    match sample_type {
+        SampleType::U8 => Ok(max_height_m / 255.0),
+        SampleType::U16 => Ok(max_height_m / 65535.0),
+        other => {
+            let what = format!("a largest height was given, but its samples are {other:?}");
+            let hint = "--max-height is for greys of 8 or 16 bits; give --height-step";
+            Err(DemError::usage(path, what, hint))
         }
     }
 }

@@ -5,13 +5,11 @@
 //! shares its outer rows and columns with its neighbours.
 
 use std::fs::File;
-use std::io::{BufReader, Read, Seek, SeekFrom};
+use std::io::{Read, Seek, SeekFrom};
 use std::path::Path;
 
-use zip::ZipArchive;
-use zip::result::ZipError;
-
 use super::heights::HeightRule;
+use super::unpack::{archive, zip_error};
 use super::{Crs, DemError, DemInfo, DemSource, OpenOptions, Placement, Registration, SampleType};
 
 /// Samples a side of 3 and 1 arc second tiles.
@@ -59,13 +57,17 @@ impl Hgt {
         Self::new(path, &stem(path), length, Store::Plain(file), options)
     }
 
-    /// Opens a zip that holds a tile; the entry's name says the place.
+    /// Opens a tile that is a member of a zip; the member's name says the place.
     ///
     /// # Errors
-    /// As [`Self::open`]; [`DemError::NotADem`] for a zip without a tile.
-    pub fn open_zip(path: &Path, options: &OpenOptions) -> Result<Self, DemError> {
+    /// As [`Self::open`].
+    pub fn open_zip(
+        path: &Path,
+        entry: usize,
+        name: &str,
+        options: &OpenOptions,
+    ) -> Result<Self, DemError> {
         let mut archive = archive(path)?;
-        let (entry, name) = tile_entry(&mut archive, path)?;
         let file = archive.by_index(entry).map_err(|e| zip_error(e, path))?;
         let length = file.size();
         drop(file);
@@ -190,30 +192,6 @@ fn signed(text: &str, letters: [char; 2], digits: usize, most: u16) -> Option<(f
     (whole <= most).then(|| (sign * f64::from(whole), rest))
 }
 
-type Archive = ZipArchive<BufReader<File>>;
-
-fn archive(path: &Path) -> Result<Archive, DemError> {
-    let file = File::open(path).map_err(|e| DemError::io(path, "open", e))?;
-    ZipArchive::new(BufReader::new(file)).map_err(|e| zip_error(e, path))
-}
-
-/// The first entry that is called a tile.
-fn tile_entry(archive: &mut Archive, path: &Path) -> Result<(usize, String), DemError> {
-    for index in 0..archive.len() {
-        let Some(Ok(name)) = archive.name_for_index(index) else {
-            continue;
-        };
-        if name.to_ascii_lowercase().ends_with(".hgt") {
-            return Ok((index, name.into_owned()));
-        }
-    }
-    let found = format!(
-        "a zip with no .hgt in it ({} in all): unzip it first",
-        archive.len()
-    );
-    Err(DemError::not_a_dem(path, found))
-}
-
 fn unpack(path: &Path, entry: usize, len: usize) -> Result<Vec<u8>, DemError> {
     let mut archive = archive(path)?;
     let mut file = archive.by_index(entry).map_err(|e| zip_error(e, path))?;
@@ -237,18 +215,6 @@ fn unpack(path: &Path, entry: usize, len: usize) -> Result<Vec<u8>, DemError> {
             e.to_string(),
             "its checksum",
         )),
-    }
-}
-
-fn zip_error(error: ZipError, path: &Path) -> DemError {
-    match error {
-        ZipError::UnsupportedArchive(what) => {
-            DemError::unsupported(path, format!("this zip ({what})"), "unzip it first")
-        }
-        other => {
-            let expected = "a sound zip (is the file cut short?)";
-            DemError::damaged(path, "the zip's directory", other.to_string(), expected)
-        }
     }
 }
 

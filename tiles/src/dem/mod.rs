@@ -1,8 +1,12 @@
 //! Elevation input: any DEM file becomes rows of heights in metres.
 //!
 //! Suggested reading order: [`DemSource`] here, then `error`, `heights` (raw sample to metres),
-//! `geokeys` and `affine` (where GeoTIFF samples lie), `geotiff` over `chunks` (decoding), `hgt`,
-//! `png`, and `mosaic`, which makes many sources look like one.
+//! `detect` and `open` (formats are told by content), and one file a format: `geotiff` over
+//! `chunks` (decoding), `geokeys` and `affine` (where samples lie); `hgt`, `dted`, `usgs`; `raw`
+//! with its headers `esri_header` and `envi`; `ascii_grid` and `matrix` over `number_rows`;
+//! `bitmap`, `rgb` and `pyramid`. Around them: `side` and `prj` (files beside a file), `unpack`
+//! (gzip, zip), `handover` (to GDAL), `folder`, and `mosaic`, which makes many sources look like
+//! one.
 //!
 //! ```text
 //!  column 0      column 1            (x0, y0) is the CENTRE of sample (column 0, row 0),
@@ -17,17 +21,34 @@
 //! limits below before memory is taken, and damage is an error that names the place.
 
 mod affine;
+mod ascii_grid;
+mod bitmap;
 mod chunks;
+mod detect;
+mod dted;
+mod envi;
 mod error;
+mod esri_header;
+mod fill;
+mod folder;
 mod geokeys;
 mod geotiff;
+mod handover;
 mod heights;
 mod hgt;
+mod matrix;
 mod mosaic;
+mod number_rows;
 mod open;
-mod png;
+mod prj;
+mod pyramid;
+mod raw;
+mod rgb;
+mod side;
 #[cfg(test)]
 mod testing;
+mod unpack;
+mod usgs;
 mod write;
 
 use escarp_proto::manifest::Resampling;
@@ -35,8 +56,12 @@ use std::ops::Range;
 use std::path::PathBuf;
 
 pub use error::DemError;
-pub use mosaic::{Mosaic, OverlapReport};
-pub use open::{open, open_all};
+pub use fill::{DEFAULT_FILL_SAMPLES, Filled, FilledRun, Fills, MAX_FILL_SAMPLES};
+pub use folder::expand;
+pub use mosaic::{JoinOptions, MAX_SEAM_SAMPLES, Mosaic, OverlapReport, Priority, Seam};
+pub use open::{join_all, open, open_all};
+pub use raw::RawShape;
+pub use rgb::RgbCoding;
 pub use write::{Encoding, write_geotiff, write_geotiff_as};
 
 /// The most samples on one side of an input or a mosaic (the whole Earth at 0.3 arc seconds).
@@ -45,8 +70,11 @@ pub const MAX_SIDE_SAMPLES: u32 = 1 << 22;
 /// The most bytes that one TIFF tile or strip may decode to (a TIFF in one strip is one chunk).
 pub const MAX_CHUNK_BYTES: u64 = 256 << 20;
 
-/// The most bytes that a PNG may decode to: PNG has no chunks, so it is held whole.
-pub const MAX_PNG_BYTES: u64 = 512 << 20;
+/// The most bytes that a bitmap may decode to: PNG has no chunks, so it is held whole.
+pub const MAX_BITMAP_BYTES: u64 = 512 << 20;
+
+/// The most bytes that a gzip or zip may unpack to, in a temporary file.
+pub const MAX_UNPACKED_BYTES: u64 = 64 << 30;
 
 /// Heights beyond this, in metres, are no heights: an undeclared nodata value or damage.
 pub const MAX_HEIGHT_M: f64 = 1e9;
@@ -248,6 +276,18 @@ pub trait DemSource: Send {
     fn resampling(&self) -> Option<Resampling> {
         None
     }
+
+    /// Columns outside of which rows `first_row..first_row + rows` are known to be holes, without
+    /// reading them: ascending, apart from each other. None at all if there is no data in them.
+    fn data_columns(&self, first_row: u32, rows: u32) -> Vec<Range<u32>> {
+        let _ = (first_row, rows);
+        std::iter::once(0..self.info().width).collect()
+    }
+
+    /// Which samples are no data but fill; `None` where nothing was asked to be filled.
+    fn fills(&self) -> Option<&Fills> {
+        None
+    }
 }
 
 /// What the user says about an input; each `None` leaves it to the file.
@@ -261,6 +301,27 @@ pub struct OpenOptions {
     pub height_offset_m: Option<f64>,
     /// Stored value that is a hole; replaces the file's nodata value.
     pub nodata: Option<f64>,
+    /// Metres that the largest value of an 8 or 16 bit unsigned sample stands for, 0 being 0 m;
+    /// instead of a step.
+    pub max_height_m: Option<f64>,
+    /// What coordinates mean, for files that are placed but do not say in which system.
+    pub crs: Option<Crs>,
+    /// Shape of the samples of files that say nothing of themselves. Inputs are then read so,
+    /// whatever they look like (unpacked first, if they are gzip or zip).
+    pub raw: Option<RawShape>,
+    /// How heights are coded in the colours of PNG tiles.
+    pub rgb: Option<RgbCoding>,
+    /// Zoom to read of a folder of tiles.
+    pub zoom: Option<u8>,
+    /// Zoom, column and row of a tile that does not lie in a folder `{z}/{x}/{y}.png`.
+    pub tile: Option<[u32; 3]>,
+    /// Text files of the longitudes and latitudes of an ASCII matrix' columns and rows.
+    pub lons_lats: Option<[PathBuf; 2]>,
+}
+
+/// Says something that the user should know of a file, and that is no error.
+fn note(path: &std::path::Path, text: &str) {
+    eprintln!("note: {}: {text}", path.display());
 }
 
 impl DemInfo {

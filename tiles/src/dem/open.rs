@@ -1,46 +1,128 @@
 //! From paths to sources: formats are told by content, not by name.
 
-use std::fs::File;
-use std::io::Read;
 use std::path::{Path, PathBuf};
 
+use super::ascii_grid::AsciiGrid;
+use super::bitmap::Bitmap;
+use super::detect::{self, Head, Kind};
+use super::dted::Dted;
 use super::geotiff::GeoTiff;
-use super::hgt::{self, Hgt};
+use super::hgt::Hgt;
+use super::matrix::Matrix;
 use super::mosaic::Mosaic;
-use super::png::Png;
-use super::{DemError, DemSource, OpenOptions, Placement};
+use super::pyramid::Pyramid;
+use super::raw::RawGrid;
+use super::rgb::RgbTile;
+use super::usgs::UsgsDem;
+use super::{
+    DemError, DemSource, JoinOptions, OpenOptions, Placement, envi, esri_header, folder, handover,
+    unpack,
+};
 
-/// Opens one DEM. Only its header is read; samples are decoded when rows are asked for.
+/// Opens one DEM: a file, or a folder of tiles `{z}/{x}/{y}.png`. Only its header is read, and
+/// what is packed is unpacked; samples are decoded when rows are asked for.
 ///
 /// # Errors
 /// [`DemError`], sorted by who must act.
 pub fn open(path: &Path, options: &OpenOptions) -> Result<Box<dyn DemSource>, DemError> {
-    let (magic, length) = first_bytes(path)?;
-    Ok(match &magic[..] {
-        [b'I', b'I', 42 | 43, 0, ..] | [b'M', b'M', 0, 42 | 43, ..] => {
-            Box::new(GeoTiff::open(path, options)?)
+    open_nested(path, options, 0)
+}
+
+/// [`open`], for a file that came out of `depth` packed ones.
+pub(super) fn open_nested(
+    path: &Path,
+    options: &OpenOptions,
+    depth: u32,
+) -> Result<Box<dyn DemSource>, DemError> {
+    if path.is_dir() {
+        return open_folder(path, options);
+    }
+    let head = Head::read(path)?;
+    let kind = detect::kind_of(path, &head);
+    match (kind, &options.raw) {
+        (Some(Kind::Gzip), _) => unpack::open_gzip(path, options, depth),
+        (Some(Kind::Zip), _) => unpack::open_zip(path, options, depth),
+        (_, Some(shape)) => Ok(Box::new(RawGrid::open(path, shape, options)?)),
+        (Some(kind), None) => open_kind(kind, path, options),
+        (None, None) => match esri_header::header_of(path) {
+            Some((header, kind)) => open_header(kind, &header, path, options),
+            None => Err(detect::unknown(path, &head)),
+        },
+    }
+}
+
+fn open_kind(
+    kind: Kind,
+    path: &Path,
+    options: &OpenOptions,
+) -> Result<Box<dyn DemSource>, DemError> {
+    Ok(match kind {
+        Kind::GeoTiff => match GeoTiff::open(path, options) {
+            Err(error) if handover::helps(&error) => handover::open(path, options, error)?,
+            opened => Box::new(opened?),
+        },
+        Kind::Bitmap if options.rgb.is_some() => Box::new(RgbTile::open(path, options)?),
+        Kind::Bitmap => Box::new(Bitmap::open(path, options)?),
+        Kind::Dted => Box::new(Dted::open(path, options)?),
+        Kind::AsciiGrid => Box::new(AsciiGrid::open(path, options)?),
+        Kind::Usgs => Box::new(UsgsDem::open(path, options)?),
+        Kind::Matrix => Box::new(Matrix::open(path, options)?),
+        Kind::Hgt => Box::new(Hgt::open(path, options)?),
+        Kind::EsriHeader | Kind::EnviHeader => {
+            let data = esri_header::data_of(path, kind)?;
+            return open_header(kind, path, &data, options);
         }
-        [0x89, b'P', b'N', b'G', ..] => Box::new(Png::open(path, options)?),
-        [b'P', b'K', 3, 4, ..] | [b'P', b'K', 5, 6, ..] => Box::new(Hgt::open_zip(path, options)?),
-        _ if hgt::looks_like(path, length) => Box::new(Hgt::open(path, options)?),
-        [] => return Err(DemError::not_a_dem(path, "the file is empty")),
-        _ => {
-            return Err(DemError::not_a_dem(
-                path,
-                format!("it starts with {}", shown(&magic)),
-            ));
-        }
+        Kind::Gzip | Kind::Zip => return Err(DemError::not_a_dem(path, "it is packed")),
     })
 }
 
-/// Opens one source, or a [`Mosaic`] of several.
+fn open_header(
+    kind: Kind,
+    header: &Path,
+    data: &Path,
+    options: &OpenOptions,
+) -> Result<Box<dyn DemSource>, DemError> {
+    Ok(Box::new(match kind {
+        Kind::EnviHeader => envi::open(header, data, options)?,
+        _ => esri_header::open(header, data, options)?,
+    }))
+}
+
+fn open_folder(path: &Path, options: &OpenOptions) -> Result<Box<dyn DemSource>, DemError> {
+    if folder::is_pyramid(path)? {
+        return Ok(Box::new(Pyramid::open(path, options)?));
+    }
+    let files = folder::dems_in(path)?;
+    match &files[..] {
+        [one] => open(one, options),
+        _ => Ok(Box::new(Mosaic::open(
+            &files,
+            options,
+            JoinOptions::default(),
+        )?)),
+    }
+}
+
+/// Opens one source, or a [`Mosaic`] of several; a folder stands for the DEMs in it.
 ///
 /// # Errors
 /// Those of [`open`], and [`DemError::Usage`] for inputs that do not fit together.
 pub fn open_all(paths: &[PathBuf], options: &OpenOptions) -> Result<Box<dyn DemSource>, DemError> {
-    match paths {
+    join_all(paths, options, JoinOptions::default())
+}
+
+/// As [`open_all`], with a say in how inputs are joined.
+///
+/// # Errors
+/// As [`open_all`].
+pub fn join_all(
+    paths: &[PathBuf],
+    options: &OpenOptions,
+    join: JoinOptions,
+) -> Result<Box<dyn DemSource>, DemError> {
+    match &folder::expand(paths)?[..] {
         [one] => open(one, options),
-        _ => Ok(Box::new(Mosaic::open(paths, options)?)),
+        several => Ok(Box::new(Mosaic::open(several, options, join)?)),
     }
 }
 
@@ -65,28 +147,6 @@ pub(super) fn local_placement(options: &OpenOptions, path: &Path) -> Result<Plac
     })
 }
 
-fn first_bytes(path: &Path) -> Result<(Vec<u8>, u64), DemError> {
-    let failed = |doing| move |error| DemError::io(path, doing, error);
-    let file = File::open(path).map_err(failed("open"))?;
-    let metadata = file.metadata().map_err(failed("ask the size"))?;
-    if metadata.is_dir() {
-        return Err(DemError::usage(
-            path,
-            "it is a folder",
-            "name the files in it",
-        ));
-    }
-    let mut magic = Vec::new();
-    file.take(8)
-        .read_to_end(&mut magic)
-        .map_err(failed("read"))?;
-    Ok((magic, metadata.len()))
-}
-
-fn shown(magic: &[u8]) -> String {
-    format!("\"{}\"", magic.escape_ascii())
-}
-
 #[cfg(test)]
 mod tests {
     use super::super::testing::Folder;
@@ -102,9 +162,9 @@ mod tests {
 
     #[test]
     fn a_file_of_another_kind_is_named_with_its_first_bytes() {
-        let error = error("picture.tif", b"GIF89a..");
+        let error = error("picture.tif", b"GIX89a..");
         assert!(matches!(error, DemError::NotADem { .. }));
-        assert!(error.to_string().contains("GIF89a"), "{error}");
+        assert!(error.to_string().contains("GIX89a"), "{error}");
     }
 
     #[test]

@@ -42,10 +42,16 @@ pub fn hgt_bytes(side: u16, height: impl Fn(u16, u16) -> i16) -> Vec<u8> {
 }
 
 pub fn zip_bytes(name: &str, content: &[u8]) -> Vec<u8> {
+    zip_many(&[(name, content)])
+}
+
+pub fn zip_many(members: &[(&str, &[u8])]) -> Vec<u8> {
     let mut zip = zip::ZipWriter::new(Cursor::new(Vec::new()));
-    zip.start_file(name, zip::write::SimpleFileOptions::default())
-        .unwrap();
-    zip.write_all(content).unwrap();
+    for (name, content) in members {
+        zip.start_file(*name, zip::write::SimpleFileOptions::default())
+            .unwrap();
+        zip.write_all(content).unwrap();
+    }
     zip.finish().unwrap().into_inner()
 }
 
@@ -354,4 +360,74 @@ impl Tiff {
         }
         little
     }
+}
+
+/// Opens a file and reads all of it, by single rows from the south and by bands from the north,
+/// which must agree.
+pub fn read_all(
+    path: &Path,
+    options: &super::OpenOptions,
+) -> Result<(super::DemInfo, Vec<f64>), super::DemError> {
+    let mut dem = super::open(path, options)?;
+    let info = dem.info().clone();
+    let width = info.width as usize;
+    let mut single = vec![0.0; width * info.height as usize];
+    for row in (0..info.height).rev() {
+        let at = row as usize * width;
+        dem.read_rows(row, 1, &mut single[at..at + width])?;
+    }
+    let mut bands = vec![0.0; single.len()];
+    for (first, out) in (0..).step_by(3).zip(bands.chunks_mut(3 * width)) {
+        dem.read_rows(first, (out.len() / width) as u32, out)?;
+    }
+    let bits = |heights: &[f64]| heights.iter().map(|h| h.to_bits()).collect::<Vec<_>>();
+    assert_eq!(bits(&single), bits(&bands), "rows and bands differ");
+    Ok((info, bands))
+}
+
+pub fn gzip_bytes(content: &[u8]) -> Vec<u8> {
+    let mut gzip = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::default());
+    gzip.write_all(content).unwrap();
+    gzip.finish().unwrap()
+}
+
+/// A DTED tile with its south-west sample at 121.5 W 75 N, 6 and 3 seconds apart; heights by
+/// column and row, row 0 the northern one.
+pub fn dted_bytes(width: u32, height: u32, heights: impl Fn(u32, u32) -> i16) -> Vec<u8> {
+    let mut file = vec![b' '; 80 + 648 + 2700];
+    let mut put =
+        |at: usize, text: &str| file[at..at + text.len()].copy_from_slice(text.as_bytes());
+    put(0, "UHL11213000W0750000N00600030");
+    put(47, &format!("{width:04}{height:04}0"));
+    put(80, "DSI");
+    put(80 + 141, "E96WGS84");
+    put(80 + 264, "0000000.0");
+    put(80 + 648, "ACC");
+    for column in 0..width {
+        let mut record = vec![0xaa, 0, 0, column as u8, 0, column as u8, 0, 0];
+        for row in (0..height).rev() {
+            let metres = heights(column, row);
+            let sign = if metres < 0 { 0x8000 } else { 0 };
+            record.extend((metres.unsigned_abs() | sign).to_be_bytes());
+        }
+        let sum: u32 = record.iter().map(|byte| u32::from(*byte)).sum();
+        record.extend(sum.to_be_bytes());
+        file.extend(record);
+    }
+    file
+}
+
+pub fn rgba_bytes(width: u32, height: u32, pixel: impl Fn(u32, u32) -> [u8; 4]) -> Vec<u8> {
+    use image::codecs::png::PngEncoder;
+    use image::{ExtendedColorType, ImageEncoder};
+    let at = |row| (0..width).map(move |column| (row, column));
+    let pixels: Vec<u8> = (0..height)
+        .flat_map(at)
+        .flat_map(|(r, c)| pixel(r, c))
+        .collect();
+    let mut bytes = Vec::new();
+    PngEncoder::new(&mut bytes)
+        .write_image(&pixels, width, height, ExtendedColorType::Rgba8)
+        .unwrap();
+    bytes
 }

@@ -48,6 +48,16 @@ impl DemSource for Cropped {
         self.source.block_shape()
     }
 
+    fn data_columns(&self, first_row: u32, rows: u32) -> Vec<Range<u32>> {
+        let shifted = |at: u32| at.saturating_sub(self.column).min(self.info.width);
+        let columns = self.source.data_columns(first_row + self.row, rows);
+        columns
+            .into_iter()
+            .map(|range| shifted(range.start)..shifted(range.end))
+            .filter(|range| !range.is_empty())
+            .collect()
+    }
+
     fn overlaps(&self) -> Option<OverlapReport> {
         self.source.overlaps()
     }

@@ -134,6 +134,10 @@ impl DemSource for Stated {
         self.source.block_shape()
     }
 
+    fn data_columns(&self, first_row: u32, rows: u32) -> Vec<std::ops::Range<u32>> {
+        self.source.data_columns(first_row, rows)
+    }
+
     fn overlaps(&self) -> Option<crate::dem::OverlapReport> {
         self.source.overlaps()
     }

@@ -17,7 +17,9 @@ pub struct Against {
     /// Samples of the input without data in the dataset. A sample that forms no triangle with its
     /// neighbours is part of no surface, and is not kept.
     pub missing: u64,
-    /// Samples of the dataset without data in the input.
+    /// Samples of the dataset without data in the input, that the dataset knows as fill.
+    pub filled: u64,
+    /// Other samples of the dataset without data in the input.
     pub invented: u64,
 }
 
@@ -42,6 +44,7 @@ pub fn compare(
         });
     }
     check_place(dataset, &info)?;
+    let filled = dataset.filled()?;
     let mut reader = PageReader::new(dataset);
     let mut found = Against::default();
     let mut given = Vec::new();
@@ -67,12 +70,10 @@ pub fn compare(
             .chunks_exact(width as usize)
             .take(rows as usize)
             .rev();
-        for (given, stored) in given
-            .chunks_exact(width as usize)
-            .zip(stored)
-            .take(own as usize)
-        {
-            found.row(given, stored, quantum_m);
+        let given = given.chunks_exact(width as usize).zip(stored);
+        for (i, (given, stored)) in given.take(own as usize).enumerate() {
+            let y = first + rows - 1 - i as u32;
+            found.row(given, stored, quantum_m, &|x| filled.contains(x, y));
         }
         progress(u64::from(page_rows - page_row), u64::from(page_rows));
     }
@@ -102,11 +103,18 @@ fn check_place(dataset: &Dataset, info: &DemInfo) -> Result<(), BuildError> {
 }
 
 impl Against {
-    fn row(&mut self, given: &[f64], stored: &[Option<i32>], quantum_m: f64) {
-        for (&given, stored) in given.iter().zip(stored) {
+    fn row(
+        &mut self,
+        given: &[f64],
+        stored: &[Option<i32>],
+        quantum_m: f64,
+        is_fill: &dyn Fn(u32) -> bool,
+    ) {
+        for (x, (&given, stored)) in (0..).zip(given.iter().zip(stored)) {
             match stored {
                 None if given.is_nan() => {}
                 None => self.missing += 1,
+                Some(_) if given.is_nan() && is_fill(x) => self.filled += 1,
                 Some(_) if given.is_nan() => self.invented += 1,
                 Some(units) => {
                     self.samples += 1;

@@ -48,6 +48,7 @@ pub fn verify(
     progress: &(dyn Fn(u64, u64) + Sync),
 ) -> Result<VerifyReport, DatasetError> {
     let pages = check_records(dataset)?;
+    dataset.filled()?;
     let records = pages.len() as u64;
     let chosen = choose(pages, share);
     let mut pages_a_level = BTreeMap::new();

@@ -90,6 +90,8 @@ pub fn manifest(generation: u64) -> Manifest {
         vertical: None,
         scale_error_percent: None,
         resampling: None,
+        filled: None,
+        tolerances: Vec::new(),
     }
 }
 
