@@ -110,3 +110,58 @@ fn scales(info: &DemInfo, projection: &Projection, [x, y]: [f64; 2]) -> Option<[
     };
     Some([scale(step, 0.0)?, scale(0.0, step)?])
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::crs;
+    use crate::dem::{Registration, SampleType};
+
+    fn info(crs: Crs, [x0, y0]: [f64; 2], step: f64, side: u32) -> DemInfo {
+        DemInfo {
+            path: "grid".into(),
+            format: "grid",
+            width: side,
+            height: side,
+            placement: Placement {
+                x0,
+                y0,
+                dx: step,
+                dy: step,
+            },
+            crs,
+            registration: Registration::Grid,
+            sample_type: SampleType::I16,
+            height_step_m: 1.0,
+            nodata: None,
+            vertical: None,
+        }
+    }
+
+    #[test]
+    fn a_spheres_plane_is_wrong_by_the_cosines_of_its_border_and_its_middle() {
+        let moon = crs::from_proj("+proj=longlat +R=1737400").unwrap();
+        let percent = scale_error_percent(&info(moon, [0.0, 60.0], 0.2, 101)).unwrap();
+        let expected = 50f64.to_radians().cos() / 60f64.to_radians().cos() - 1.0;
+        assert!((percent - 100.0 * expected).abs() < 1e-9, "{percent}");
+    }
+
+    #[test]
+    fn a_projections_scale_is_found_by_differences() {
+        // In the middle of a UTM zone it is 0.9996.
+        let utm = crs::from_epsg(32645).unwrap();
+        let percent = scale_error_percent(&info(utm, [499_000.0, 3e6], 20.0, 101)).unwrap();
+        assert!((percent - 0.04).abs() < 1e-4, "{percent}");
+        // Mercator's is 1 / cos, here at 60 degrees and on an ellipsoid.
+        let web = crs::from_epsg(3857).unwrap();
+        let percent = scale_error_percent(&info(web, [0.0, 8_399_738.0], 1.0, 3)).unwrap();
+        assert!((99.0..101.0).contains(&percent), "{percent}");
+    }
+
+    #[test]
+    fn longitudes_of_another_turn_make_the_same_world() {
+        let wgs84 = || crs::from_epsg(4326).unwrap();
+        let [a, b] = [200.0, -160.0].map(|west| info(wgs84(), [west, 10.0], 0.1, 11));
+        assert_eq!(georef_of(&a, 1.0), georef_of(&b, 1.0));
+    }
+}

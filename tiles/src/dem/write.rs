@@ -215,7 +215,7 @@ fn tile_row(
             encoding.encode((0..TILE).map(column), &mut raw);
         }
         let mut packed = Vec::new();
-        Deflate::with_level(DeflateLevel::Fast)
+        Deflate::with_level(DeflateLevel::Balanced)
             .write_to(&mut packed, &raw)
             .map(|_| packed)
     };
