@@ -46,6 +46,16 @@ pub struct Manifest {
     pub index: FileCheck,
     /// Where the data came from, for people: the names of the input files.
     pub sources: Vec<String>,
+    /// What heights are above, such as `EGM96 height (EPSG:5773)`, where that is known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub vertical: Option<String>,
+    /// Largest error of horizontal distances in the world's plane, in per cent of the distance on
+    /// the ground, over the data's extent; absent where the CRS cannot be transformed.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub scale_error_percent: Option<f64>,
+    /// What it cost to bring the sources to this grid; absent if their samples are its.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub resampling: Option<Resampling>,
     /// Samples that are no data but fill, and the file that says which; absent if nothing was
     /// filled.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -54,6 +64,28 @@ pub struct Manifest {
     /// Empty if everything is stored as given.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub tolerances: Vec<Tolerance>,
+}
+
+/// How sources were brought to another grid, and what that cost.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Resampling {
+    /// CRS of the sources.
+    pub from_crs: String,
+    /// Distance of the sources' samples, in the units of their CRS, east and north.
+    pub from_spacing: [f64; 2],
+    /// `linear` or `cubic`.
+    pub interpolation: String,
+    /// Source samples compared with the surface of the grid.
+    pub compared: u64,
+    /// Source samples inside the grid at which it has no surface: beside holes and borders.
+    pub uncovered: u64,
+    /// Largest difference of a source sample, straight up or down, metres, rounded up.
+    pub largest_difference_m: f64,
+    /// Root of the mean square of the differences, metres.
+    pub rms_difference_m: f64,
+    /// How far from its place a height may have been taken, metres, rounded up. Differences of
+    /// datums that the transform does not know are not in it.
+    pub horizontal_error_m: f64,
 }
 
 /// Samples that are no data but fill.
@@ -235,6 +267,9 @@ mod tests {
                 crc32c: 0,
             },
             sources: vec!["a.tif".into()],
+            vertical: None,
+            scale_error_percent: None,
+            resampling: None,
             filled: None,
             tolerances: Vec::new(),
         }

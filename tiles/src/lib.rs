@@ -6,6 +6,8 @@ pub mod dem;
 
 pub mod crs;
 
+pub mod place;
+
 pub mod synth;
 
 pub mod frame;
@@ -15,6 +17,8 @@ pub mod build;
 pub mod dataset;
 
 pub mod update;
+
+pub mod export;
 
 pub mod verify;
 

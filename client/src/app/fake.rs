@@ -207,6 +207,9 @@ pub(crate) fn manifest(
             crc32c: 0,
         },
         sources: vec!["a formula".into()],
+        vertical: None,
+        scale_error_percent: None,
+        resampling: None,
         filled: None,
         tolerances: Vec::new(),
     }

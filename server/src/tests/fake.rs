@@ -131,6 +131,9 @@ fn manifest() -> Manifest {
             crc32c: 0,
         },
         sources: vec!["fake.tif".into()],
+        vertical: None,
+        scale_error_percent: None,
+        resampling: None,
         filled: None,
         tolerances: Vec::new(),
     }

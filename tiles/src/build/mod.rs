@@ -18,7 +18,7 @@ pub(crate) use rows::{Rows, SourceRows};
 
 use crate::dataset::{DatasetError, DatasetWriter, FilledRun, FilledRuns};
 use crate::dem::{self, DemError, DemSource, Fills};
-use crate::frame::georef_of;
+use crate::frame::{georef_of, scale_error_percent};
 use checkpoint::Checkpoints;
 use escarp_proto::geometry::GridLevels;
 use escarp_proto::manifest::{FORMAT, FileCheck, Manifest, VERSION};
@@ -137,6 +137,9 @@ pub fn build(
             crc32c: 0,
         },
         sources,
+        vertical: info.vertical.clone(),
+        scale_error_percent: scale_error_percent(&info),
+        resampling: None,
         filled: None,
         tolerances: Vec::new(),
     };
@@ -167,6 +170,7 @@ pub fn build(
     manifest.valid_samples = stored.valid_samples;
     manifest.height_range = stored.range;
     manifest.storage_error_m = stored.largest_error_m;
+    manifest.resampling = source.resampling();
     Ok(writer.publish(manifest)?)
 }
 

@@ -135,6 +135,8 @@ pub(super) fn run(args: &BuildArgs) -> Result<ExitCode> {
             "samples": samples, "valid_samples": manifest.valid_samples, "pages": manifest.pages,
             "bytes": bytes, "bits_a_sample": bytes as f64 * 8.0 / samples as f64,
             "storage_error_m": manifest.storage_error_m, "wall_s": wall_s,
+            "resampling": manifest.resampling, "vertical": manifest.vertical,
+            "scale_error_percent": manifest.scale_error_percent,
             "cpu_s": usage.map(|u| u.cpu_s), "peak_memory_bytes": usage.map(|u| u.peak_memory_bytes),
             "overlaps": overlaps.map(|o| json!({
                 "overlapping": o.overlapping, "differing": o.differing, "largest_m": o.largest_m,
@@ -159,8 +161,13 @@ pub(super) fn run(args: &BuildArgs) -> Result<ExitCode> {
         bytes as f64 * 8.0 / samples as f64
     );
     println!(
-        "stored in steps of {} m; largest difference from the input {} m",
+        "stored in steps of {} m; largest difference from the {}input {} m",
         manifest.georef.quantum_m,
+        if manifest.resampling.is_some() {
+            "resampled "
+        } else {
+            ""
+        },
         rounded_up(manifest.storage_error_m)
     );
     let voids = samples - manifest.valid_samples;
@@ -168,6 +175,8 @@ pub(super) fn run(args: &BuildArgs) -> Result<ExitCode> {
         let share = 100.0 * voids as f64 / samples as f64;
         println!("{voids} samples without data ({share:.1} %): they stay holes");
     }
+    super::place::print(&manifest);
+    super::place::warn(&manifest);
     if let Some(fills) = fills {
         print_fills(&fills, samples);
     }

@@ -1,6 +1,7 @@
 //! `escarp-tiles info`.
 
 use super::survey::{on_disk, print_disk, print_survey};
+use crate::crs::{extent, title};
 use crate::dataset::{Dataset, Figures};
 use crate::verify::survey;
 use anyhow::Result;
@@ -40,7 +41,7 @@ pub(super) fn run(args: &InfoArgs) -> Result<ExitCode> {
     if args.json {
         let info = json!({
             "name": dataset.name(), "bytes": bytes, "bits_a_sample": bits,
-            "extent_m": extent, "manifest": manifest,
+            "extent_m": extent, "extent_degrees": extent::of(manifest), "manifest": manifest,
             "coverage": coverage, "survey": survey, "disk": on_disk.json(),
             "build": Figures::of(&dataset),
         });
@@ -71,6 +72,7 @@ pub(super) fn run(args: &InfoArgs) -> Result<ExitCode> {
     for (axis, [from, to]) in ["x", "y", "z"].iter().zip(extent) {
         println!("{axis}           {from:.2} .. {to:.2} m");
     }
+    super::place::print(manifest);
     println!(
         "quantum     {} m; largest difference from the sources {} m",
         georef.quantum_m,
@@ -99,15 +101,16 @@ pub(super) fn run(args: &InfoArgs) -> Result<ExitCode> {
 
 fn describe(plane: &Plane) -> String {
     match plane {
-        Plane::Projected { crs, .. } => format!("{crs}, in metres"),
+        Plane::Projected { crs, .. } => format!("{}, in metres", title(crs)),
         Plane::Geographic {
             crs,
             radius_m,
             middle_longitude_deg,
             middle_latitude_deg,
         } => format!(
-            "{crs} laid out in metres on a sphere of {radius_m} m, around longitude \
-             {middle_longitude_deg:.5}, latitude {middle_latitude_deg:.5}"
+            "{} laid out in metres on a sphere of {radius_m} m, around longitude \
+             {middle_longitude_deg:.5}, latitude {middle_latitude_deg:.5}",
+            title(crs)
         ),
         Plane::Local => "no georeference; metres from the south-west sample".into(),
     }

@@ -8,8 +8,9 @@ use std::path::{Path, PathBuf};
 /// What the user says about inputs.
 #[derive(Debug, Clone, Args)]
 pub(super) struct InputArgs {
-    /// Metres between samples, for files without georeference
-    #[arg(long, value_name = "M", allow_negative_numbers = true)]
+    /// Distance of samples: of files without georeference it states theirs, in metres; others are
+    /// brought to it, in the units of the dataset's CRS (metres, feet, degrees)
+    #[arg(long, value_name = "DISTANCE", allow_negative_numbers = true)]
     spacing: Option<f64>,
     /// Metres a stored unit stands for, for integer files (pictures: default 1)
     #[arg(long, value_name = "M", allow_negative_numbers = true)]

@@ -4,10 +4,12 @@ mod bench;
 mod build;
 mod compact;
 mod diff;
+mod export;
 mod grid;
 mod info;
 mod input;
 mod mosaic;
+mod place;
 mod progress;
 mod resume;
 mod source;
@@ -37,6 +39,8 @@ Examples:
   escarp-tiles build heights.png --spacing 160 --height-step 0.1 -o puget.escarp
   escarp-tiles build --input synth:size=100001,seed=1,spacing=1 -o large.escarp
   escarp-tiles update moon.escarp --with crater.tif        only what changed is written
+  escarp-tiles build everest.tif --crs EPSG:32645 --spacing 90 -o everest.escarp
+  escarp-tiles export everest.escarp --bounds 480000,3090000,500000,3110000 -o part.tif
   escarp-tiles verify moon.escarp --against moon.tif
   escarp-tiles bench moon.tif --max-error 0,1,4,8
   escarp-tiles sample -o demo.tif --size 2048 --seed 7
@@ -59,6 +63,8 @@ enum Command {
     Bench(bench::BenchArgs),
     /// Say how two datasets, or two generations of one, differ
     Diff(diff::DiffArgs),
+    /// Write a dataset's heights as a GeoTIFF
+    Export(export::ExportArgs),
     /// Write a synthetic DEM: ridges, valleys, a lake, a cliff, detail
     Sample(SampleArgs),
 }
@@ -89,6 +95,7 @@ pub fn run(cli: Cli) -> Result<ExitCode> {
         Command::Verify(args) => verify::run(&args),
         Command::Bench(args) => bench::run(&args),
         Command::Diff(args) => diff::run(&args),
+        Command::Export(args) => export::run(&args),
         Command::Sample(args) => {
             crate::synth::write_geotiff(&args.output, args.size, args.seed)?;
             let (file, side) = (args.output.display(), args.size);

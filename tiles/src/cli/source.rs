@@ -6,6 +6,7 @@ use super::mosaic::MosaicArgs;
 use crate::dem::DemSource;
 use anyhow::Result;
 use clap::Args;
+use escarp_proto::georef::{Georef, Plane};
 use std::path::PathBuf;
 
 /// Everything that decides which heights come of the inputs.
@@ -27,8 +28,30 @@ impl SourceArgs {
 
     /// Opens the inputs, joins them, brings them to the dataset's grid, and fills voids.
     pub(super) fn open(&self, inputs: &[PathBuf]) -> Result<Box<dyn DemSource>> {
-        let joined = self.mosaic.join(inputs, &self.input.options())?;
-        let placed = self.grid.place(joined)?;
+        self.open_spaced(inputs, None)
+    }
+
+    /// As [`open`](Self::open), on the grid of a dataset that is to be compared: it knows the
+    /// spacing of inputs without georeference.
+    pub(super) fn open_like(
+        &self,
+        inputs: &[PathBuf],
+        georef: &Georef,
+    ) -> Result<Box<dyn DemSource>> {
+        let local = georef.plane == Plane::Local;
+        self.open_spaced(inputs, local.then_some(georef.sample_spacing_m[0]))
+    }
+
+    fn open_spaced(
+        &self,
+        inputs: &[PathBuf],
+        known_spacing_m: Option<f64>,
+    ) -> Result<Box<dyn DemSource>> {
+        let mut options = self.input.options();
+        options.spacing_m = options.spacing_m.or(known_spacing_m);
+        let joined = self.mosaic.join(inputs, &options)?;
+        // Without georeference the reader has already laid its samples so far apart.
+        let placed = self.grid.place(joined, options.spacing_m)?;
         self.mosaic.fill(placed)
     }
 }

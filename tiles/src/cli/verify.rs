@@ -65,7 +65,9 @@ pub(super) fn run(args: &VerifyArgs) -> Result<ExitCode> {
 }
 
 fn against(args: &VerifyArgs, dataset: &Dataset) -> Result<Against> {
-    let mut source = args.source.open(&args.against)?;
+    let mut source = args
+        .source
+        .open_like(&args.against, &dataset.manifest().georef)?;
     let progress = Progress::new("comparing", args.json);
     let found = compare(dataset, &mut *source, &|done, total| {
         progress.at(done, total)

@@ -3,13 +3,15 @@
 //!
 //! Suggested reading order: here how a [`Crs`] is named; `methods` (map projections in three
 //! spellings), `body` (ellipsoids and datums), `wkt`; `projection` (to longitude and latitude and
-//! back), `longitude` (which turn of the circle), `vertical` (what heights are above).
+//! back), `extent` (of a dataset), `longitude` (which turn of the circle), `vertical` (what heights
+//! are above).
 //!
 //! A [`Crs`] is named by what defines it: `EPSG:32612`; or a PROJ string, whose `+title=` is the
 //! file's own name; or, if that is all that a file gives, a citation, which cannot be transformed.
 //! The first two are understood by GDAL, too.
 
 mod body;
+pub mod extent;
 pub mod longitude;
 mod methods;
 mod projection;

@@ -8,6 +8,8 @@
 use super::{Crs, definition, has_flag, parameter, without};
 use proj4rs::Proj;
 
+const WGS84_AXES_M: [f64; 2] = [6_378_137.0, 6_356_752.314_245_179];
+
 /// A CRS that can be transformed.
 #[derive(Clone)]
 pub struct Projection {
@@ -63,7 +65,11 @@ impl Projection {
         if proj.is_latlong() != metres_per_unit.is_none() {
             return Err(format!("{definition:?} does not fit coordinates of {crs}"));
         }
-        let [a, b] = <[f64; 2]>::from(proj.ellipse_parameters());
+        // The web's Mercator has a sphere's formulas, but coordinates of the ellipsoid.
+        let axes_m = match parameter(&definition, "nadgrids") {
+            Some("@null") => WGS84_AXES_M,
+            _ => proj.ellipse_parameters().into(),
+        };
         let datum = ["datum", "ellps", "R", "a", "b", "rf", "towgs84"];
         let same: Vec<String> = datum
             .iter()
@@ -74,7 +80,7 @@ impl Projection {
             proj,
             geographic,
             metres_per_unit,
-            axes_m: [a, b],
+            axes_m,
         })
     }
 

@@ -239,3 +239,13 @@ fn every_prefix_of_a_wkt_is_an_error_and_no_panic() {
         }
     }
 }
+
+#[test]
+fn nearly_all_planes_and_degrees_of_the_epsg_registry_are_understood() {
+    let known: Vec<u16> = (1024..32_767)
+        .filter(|code| epsg_definition(*code).is_some())
+        .collect();
+    let understood = known.iter().filter(|code| from_epsg(**code).is_ok());
+    let (understood, known) = (understood.count(), known.len());
+    assert!(understood * 100 >= known * 95, "{understood} of {known}");
+}

@@ -8,7 +8,7 @@ pub(crate) mod tree;
 
 use super::{Body, Conversion, Role, epsg_definition, methods, title_parameter};
 use crate::dem::Crs;
-pub(crate) use tree::MAX_BYTES;
+pub use tree::MAX_BYTES;
 use tree::Node;
 
 const GEOGRAPHIC: &[&str] = &[

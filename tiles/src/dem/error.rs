@@ -80,7 +80,7 @@ impl DemError {
         }
     }
 
-    pub(super) fn damaged(
+    pub(crate) fn damaged(
         path: &Path,
         place: impl Into<String>,
         found: impl Into<String>,
@@ -107,7 +107,7 @@ impl DemError {
         }
     }
 
-    pub(super) fn limits(
+    pub(crate) fn limits(
         path: &Path,
         what: impl Into<String>,
         found: u64,

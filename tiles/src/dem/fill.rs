@@ -13,6 +13,7 @@ mod membrane;
 mod voids;
 
 use super::{DemError, DemInfo, DemSource, OverlapReport};
+use escarp_proto::manifest::Resampling;
 use rayon::prelude::*;
 use std::ops::Range;
 use voids::{Void, Voids};
@@ -121,6 +122,10 @@ impl DemSource for Filled {
             out[to..to + length].copy_from_slice(&self.heights[from..from + length]);
         }
         Ok(())
+    }
+
+    fn resampling(&self) -> Option<Resampling> {
+        self.source.resampling()
     }
 
     fn overlaps(&self) -> Option<OverlapReport> {

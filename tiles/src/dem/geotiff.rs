@@ -3,6 +3,7 @@
 //! The `tiff` crate decodes chunks; what the tags mean for a DEM is read here. The crate gives
 //! wrong samples for sparse files and inverts white-is-zero ones, so both are caught before it.
 
+use std::ops::Range;
 use std::path::Path;
 
 use tiff::decoder::DecodingResult;
@@ -92,11 +93,22 @@ impl GeoTiff {
         }
     }
 
-    /// Copies the part of a chunk that lies in stored rows `top..bottom` to `out`.
-    fn place_chunk(&self, index: u32, chunk: &Chunk, band: (u32, u32), out: &mut [f64]) {
+    /// Copies the part of a chunk that lies in stored rows `band` and in `columns` to `out`.
+    fn place_chunk(
+        &self,
+        index: u32,
+        chunk: &Chunk,
+        band: (u32, u32),
+        columns: &Range<u32>,
+        out: &mut [f64],
+    ) {
         let window = self.chunks.grid().window(index);
-        let across = (window.right - window.left) as usize;
-        let width = self.info.width as usize;
+        let (left, right) = (
+            window.left.max(columns.start),
+            window.right.min(columns.end),
+        );
+        let across = (right - left) as usize;
+        let width = columns.len();
         let chunk_width = self.chunks.grid().chunk_width as usize;
         for row in window.top.max(band.0)..window.bottom.min(band.1) {
             let out_row = if self.south_up {
@@ -104,10 +116,20 @@ impl GeoTiff {
             } else {
                 row - band.0
             } as usize;
-            let start = out_row * width + window.left as usize;
-            let from = (row - window.top) as usize * chunk_width;
+            let start = out_row * width + (left - columns.start) as usize;
+            let from = (row - window.top) as usize * chunk_width + (left - window.left) as usize;
             copy(chunk, from, &self.rule, &mut out[start..start + across]);
         }
+    }
+
+    /// Chunks that touch stored rows and columns.
+    fn touching(&self, band: (u32, u32), columns: &Range<u32>) -> Vec<u32> {
+        let grid = self.chunks.grid();
+        let beside = |index: &u32| {
+            let window = grid.window(*index);
+            window.left < columns.end && window.right > columns.start
+        };
+        grid.touching(band.0, band.1).filter(beside).collect()
     }
 
     /// Whether the next band may want a chunk again.
@@ -124,21 +146,35 @@ impl DemSource for GeoTiff {
 
     fn read_rows(&mut self, first_row: u32, rows: u32, out: &mut [f64]) -> Result<(), DemError> {
         self.info.check_band(first_row, rows, out)?;
-        let band = self.stored_rows(first_row, rows);
+        if rows == 0 {
+            return Ok(());
+        }
+        self.read_window(first_row..first_row + rows, 0..self.info.width, out)
+    }
+
+    fn read_window(
+        &mut self,
+        rows: Range<u32>,
+        columns: Range<u32>,
+        out: &mut [f64],
+    ) -> Result<(), DemError> {
+        self.info.check_window(&rows, &columns, out)?;
+        let band = self.stored_rows(rows.start, rows.end - rows.start);
         let mut kept = std::mem::take(&mut self.kept);
-        let wanted = self.chunks.grid().touching(band.0, band.1);
+        let wanted = self.touching(band, &columns);
         kept.retain(|(index, _)| wanted.contains(index));
         for (index, chunk) in &kept {
-            self.place_chunk(*index, chunk, band, out);
+            self.place_chunk(*index, chunk, band, &columns, out);
         }
         let missing: Vec<u32> = wanted
+            .into_iter()
             .filter(|index| kept.iter().all(|(have, _)| have != index))
             .collect();
         kept.retain(|(index, _)| self.reaches_beyond(*index, band));
         let mut kept_bytes: u64 = kept.iter().map(|(_, chunk)| byte_len(chunk)).sum();
         for batch in missing.chunks(BATCH) {
             for (index, chunk) in batch.iter().zip(self.chunks.decode(batch)?) {
-                self.place_chunk(*index, &chunk, band, out);
+                self.place_chunk(*index, &chunk, band, &columns, out);
                 let bytes = byte_len(&chunk);
                 if self.reaches_beyond(*index, band) && kept_bytes + bytes <= KEPT_BYTES {
                     kept_bytes += bytes;
@@ -147,7 +183,12 @@ impl DemSource for GeoTiff {
             }
         }
         self.kept = kept;
-        heights::check(&self.info, first_row, out)
+        heights::check_window(&self.info, rows.start, columns, out)
+    }
+
+    fn block_shape(&self) -> [u32; 2] {
+        let grid = self.chunks.grid();
+        [grid.chunk_width.min(grid.width), grid.chunk_height]
     }
 }
 

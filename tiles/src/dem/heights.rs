@@ -1,5 +1,7 @@
 //! From stored samples to heights in metres.
 
+use std::ops::Range;
+
 use super::{DemError, DemInfo, MAX_HEIGHT_M, OpenOptions, SampleType};
 
 /// What a stored value means, as a file states it and as the user overrides it.
@@ -97,12 +99,26 @@ fn as_stored(nodata: f64, sample_type: SampleType) -> f64 {
 /// # Errors
 /// [`DemError::Damaged`] naming row and column, counted from 0 at the north-west.
 pub(super) fn check(info: &DemInfo, first_row: u32, heights: &[f64]) -> Result<(), DemError> {
+    check_window(info, first_row, 0..info.width, heights)
+}
+
+/// As [`check`], for some columns of rows.
+///
+/// # Errors
+/// As [`check`].
+pub(super) fn check_window(
+    info: &DemInfo,
+    first_row: u32,
+    columns: Range<u32>,
+    heights: &[f64],
+) -> Result<(), DemError> {
     let beyond = |h: &f64| h.abs() > MAX_HEIGHT_M;
     let Some(at) = heights.iter().position(beyond) else {
         return Ok(());
     };
-    let width = info.width as usize;
-    let (row, column) = (first_row as usize + at / width, at % width);
+    let across = columns.len();
+    let row = first_row as usize + at / across;
+    let column = columns.start as usize + at % across;
     let place = format!("row {row}, column {column}");
     let found = format!("a height of {:e} m", heights[at]);
     let expected = "less than 1e9 m (if the value means a hole, give it as --nodata)";

@@ -51,6 +51,7 @@ mod unpack;
 mod usgs;
 mod write;
 
+use escarp_proto::manifest::Resampling;
 use std::ops::Range;
 use std::path::PathBuf;
 
@@ -61,7 +62,7 @@ pub use mosaic::{JoinOptions, MAX_SEAM_SAMPLES, Mosaic, OverlapReport, Priority,
 pub use open::{join_all, open, open_all};
 pub use raw::RawShape;
 pub use rgb::RgbCoding;
-pub use write::write_geotiff;
+pub use write::{Encoding, write_geotiff, write_geotiff_as};
 
 /// The most samples on one side of an input or a mosaic (the whole Earth at 0.3 arc seconds).
 pub const MAX_SIDE_SAMPLES: u32 = 1 << 22;
@@ -77,6 +78,9 @@ pub const MAX_UNPACKED_BYTES: u64 = 64 << 30;
 
 /// Heights beyond this, in metres, are no heights: an undeclared nodata value or damage.
 pub const MAX_HEIGHT_M: f64 = 1e9;
+
+/// Samples of whole rows that are read at once for a window of them.
+const WINDOW_SAMPLES: u32 = 4 << 20;
 
 /// Where samples lie: CRS coordinates of the centre of sample (column 0, row 0), the north-west
 /// one, and steps. Column `c` is at `x0 + c*dx`, row `r` at `y0 - r*dy`; `dx` and `dy` are above
@@ -112,6 +116,16 @@ pub enum Crs {
     },
     /// No georeference: the user gave the spacing in metres; sample (0, 0) is at the origin.
     Local,
+}
+
+impl Crs {
+    /// What the CRS is called: its code, its definition, or its file's citation.
+    pub fn name(&self) -> &str {
+        match self {
+            Crs::Projected { name, .. } | Crs::Geographic { name, .. } => name,
+            Crs::Local => "none",
+        }
+    }
 }
 
 impl std::fmt::Display for Crs {
@@ -212,9 +226,54 @@ pub trait DemSource: Send {
     /// [`DemError::Damaged`] and [`DemError::Io`] naming the place. `out` is then unspecified.
     fn read_rows(&mut self, first_row: u32, rows: u32, out: &mut [f64]) -> Result<(), DemError>;
 
+    /// Reads some columns of some rows into `out`, as [`read_rows`](Self::read_rows) does. Costs
+    /// whole rows, unless a source can do better.
+    ///
+    /// # Errors
+    /// As [`read_rows`](Self::read_rows).
+    fn read_window(
+        &mut self,
+        rows: Range<u32>,
+        columns: Range<u32>,
+        out: &mut [f64],
+    ) -> Result<(), DemError> {
+        let across = self.info().check_window(&rows, &columns, out)?;
+        let width = self.info().width;
+        if columns == (0..width) {
+            return self.read_rows(rows.start, rows.end - rows.start, out);
+        }
+        let at_once = (WINDOW_SAMPLES / width).max(1);
+        let mut band = Vec::new();
+        for (out, row) in out
+            .chunks_mut(across * at_once as usize)
+            .zip(rows.clone().step_by(at_once as usize))
+        {
+            let count = at_once.min(rows.end - row);
+            band.resize(count as usize * width as usize, 0.0);
+            self.read_rows(row, count, &mut band)?;
+            let lines = band.chunks_exact(width as usize);
+            for (out, line) in out.chunks_exact_mut(across).zip(lines) {
+                out.copy_from_slice(&line[columns.start as usize..columns.end as usize]);
+            }
+        }
+        Ok(())
+    }
+
+    /// Columns and rows that are stored together: windows of whole blocks, counted from the
+    /// north-west, cost no more than themselves.
+    fn block_shape(&self) -> [u32; 2] {
+        [self.info().width, 1]
+    }
+
     /// What overlapping inputs said of the same samples, over the rows read so far; `None` where
     /// there is only one input.
     fn overlaps(&self) -> Option<OverlapReport> {
+        None
+    }
+
+    /// What bringing the input to this grid cost, over the rows read so far; `None` where each
+    /// sample is the input's.
+    fn resampling(&self) -> Option<Resampling> {
         None
     }
 
@@ -266,6 +325,31 @@ fn note(path: &std::path::Path, text: &str) {
 }
 
 impl DemInfo {
+    /// Checks a window asked of [`DemSource::read_window`], and gives its columns.
+    pub(crate) fn check_window(
+        &self,
+        rows: &Range<u32>,
+        columns: &Range<u32>,
+        out: &[f64],
+    ) -> Result<usize, DemError> {
+        let inside = |range: &Range<u32>, side| range.start < range.end && range.end <= side;
+        let samples = rows.len() * columns.len();
+        if inside(rows, self.height) && inside(columns, self.width) && samples == out.len() {
+            return Ok(columns.len());
+        }
+        let what = format!(
+            "rows {rows:?}, columns {columns:?} for {} of {} x {} samples",
+            out.len(),
+            self.width,
+            self.height
+        );
+        Err(DemError::usage(
+            &self.path,
+            what,
+            "ask for a window that exists",
+        ))
+    }
+
     /// Checks a band asked of [`DemSource::read_rows`].
     pub(crate) fn check_band(
         &self,

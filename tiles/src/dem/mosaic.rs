@@ -92,10 +92,11 @@ impl Mosaic {
             let hint = format!("give 1 to {MAX_SEAM_SAMPLES}");
             return Err(DemError::usage(&first.path, what, hint));
         }
-        for other in &infos[1..] {
-            check_fit(first, other)?;
+        let turned = fit::on_one_turn(&infos);
+        for other in &turned[1..] {
+            check_fit(&turned[0], other)?;
         }
-        let info = fit::union(&infos)?;
+        let info = fit::union(&turned)?;
         if join.priority == Priority::Last {
             infos.reverse();
         }

@@ -281,6 +281,7 @@ impl Tiff {
         if self.predictor == 3 {
             let mut out = Vec::new();
             let row: Vec<f32> = heights.iter().map(|h| *h as f32).collect();
+            let row: Vec<_> = row.iter().map(|h| h.to_be_bytes()).collect();
             super::write::predict(&row, &mut out);
             return out;
         }

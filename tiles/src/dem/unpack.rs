@@ -191,6 +191,20 @@ impl DemSource for Unpacked {
     fn data_columns(&self, first_row: u32, rows: u32) -> Vec<Range<u32>> {
         self.inner.data_columns(first_row, rows)
     }
+
+    fn read_window(
+        &mut self,
+        rows: Range<u32>,
+        columns: Range<u32>,
+        out: &mut [f64],
+    ) -> Result<(), DemError> {
+        let read = self.inner.read_window(rows, columns, out);
+        read.map_err(|error| self.spool.rename(error))
+    }
+
+    fn block_shape(&self) -> [u32; 2] {
+        self.inner.block_shape()
+    }
 }
 
 /// Opens what is in a gzip.

@@ -87,6 +87,9 @@ pub fn manifest(generation: u64) -> Manifest {
             crc32c: 1,
         },
         sources: vec![],
+        vertical: None,
+        scale_error_percent: None,
+        resampling: None,
         filled: None,
         tolerances: Vec::new(),
     }

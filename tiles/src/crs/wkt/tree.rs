@@ -3,7 +3,7 @@
 //! Safe on untrusted text: its length, its depth and the count of its nodes are limited.
 
 /// No definition is longer, in bytes.
-pub(crate) const MAX_BYTES: usize = 1 << 16;
+pub const MAX_BYTES: usize = 1 << 16;
 /// Nodes inside nodes.
 const MAX_DEPTH: usize = 32;
 /// Nodes and values in all.

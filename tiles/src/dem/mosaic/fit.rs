@@ -1,5 +1,7 @@
 //! Whether inputs lie on one lattice, and the mosaic that they make on it.
 
+use crate::crs::longitude;
+
 use super::super::{Crs, DemError, DemInfo, MAX_SIDE_SAMPLES, Placement, SampleType};
 
 /// How far, in cells, samples may be off the common lattice.
@@ -130,9 +132,33 @@ fn side(first: &DemInfo, cells: f64) -> Result<u32, DemError> {
     ))
 }
 
+/// The inputs with their longitudes on one turn of the circle, so that those on both sides of the
+/// date line, or from 0 to 360 and from -180 to 180, lie beside each other.
+pub(super) fn on_one_turn(infos: &[DemInfo]) -> Vec<DemInfo> {
+    let mut turned = infos.to_vec();
+    let geographic = |info: &DemInfo| matches!(info.crs, Crs::Geographic { .. });
+    if infos.iter().all(geographic) {
+        let extent = |info: &DemInfo| {
+            let Placement { x0, dx, .. } = info.placement;
+            [x0, x0 + f64::from(info.width - 1) * dx]
+        };
+        let extents: Vec<[f64; 2]> = infos.iter().map(extent).collect();
+        for (info, turn) in turned.iter_mut().zip(longitude::window(&extents)) {
+            info.placement.x0 += turn;
+        }
+    }
+    turned
+}
+
 /// Column and row of an input's first sample in the mosaic.
 pub(super) fn place(info: &DemInfo, mosaic: &Placement) -> (u32, u32) {
-    let column = ((info.placement.x0 - mosaic.x0) / mosaic.dx).round() as u32;
+    let x0 = match info.crs {
+        Crs::Geographic { .. } => {
+            longitude::from_west(info.placement.x0, mosaic.x0 - mosaic.dx / 2.0)
+        }
+        _ => info.placement.x0,
+    };
+    let column = ((x0 - mosaic.x0) / mosaic.dx).round() as u32;
     let row = ((mosaic.y0 - info.placement.y0) / mosaic.dy).round() as u32;
     (column, row)
 }

@@ -468,3 +468,21 @@ fn rows_that_no_input_has_are_known_to_be_empty() {
     assert_eq!(columns(4, 3996), []);
     assert_eq!(columns(3, 3998), [0..4, 50..54]);
 }
+
+#[test]
+fn tiles_on_both_sides_of_the_date_line_are_neighbours() {
+    let folder = Folder::new();
+    let tile = |name: &str, from: i16| {
+        let bytes = hgt_bytes(1201, move |_, column| from + column as i16);
+        folder.write(name, &bytes)
+    };
+    let (west, east) = (tile("S17E179.hgt", 0), tile("S17W180.hgt", 1200));
+    for paths in [[west.clone(), east.clone()], [east, west]] {
+        let mut dem = open_all(&paths, &OpenOptions::default()).unwrap();
+        assert_eq!((dem.info().width, dem.info().height), (2401, 1201));
+        assert_eq!(dem.info().placement.x0.rem_euclid(360.0), 179.0);
+        let mut row = vec![0.0; 2401];
+        dem.read_rows(600, 1, &mut row).unwrap();
+        assert!(row.iter().enumerate().all(|(c, h)| *h == c as f64));
+    }
+}

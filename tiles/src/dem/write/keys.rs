@@ -64,7 +64,7 @@ impl Keys {
         self.text(3073, crs::title(name));
         if let Some(conversion) = Conversion::of_proj(name) {
             self.conversion(&conversion, metres_per_unit);
-            self.body(name);
+            self.body(name, "unnamed");
         }
     }
 
@@ -87,15 +87,16 @@ impl Keys {
             self.numbers(2057, &[radius_m]);
             return;
         }
-        self.text(1026, crs::title(name));
+        let title = crs::title(name);
+        self.text(1026, title);
         match name.starts_with("+proj=") {
-            true => self.body(name),
-            false => self.body(&format!("+R={radius_m} +title={}", name.replace(' ', "_"))),
+            true => self.body(name, &title.replace('_', " ")),
+            false => self.body(&format!("+R={radius_m}"), title),
         }
     }
 
     /// Ellipsoid, datum and prime meridian of a PROJ string.
-    fn body(&mut self, definition: &str) {
+    fn body(&mut self, definition: &str, title: &str) {
         self.code(2054, 9102);
         let datum = crs::parameter(definition, "datum");
         let known = [("WGS84", 4326), ("NAD83", 4269), ("NAD27", 4267)];
@@ -106,8 +107,6 @@ impl Keys {
         for id in [2048, 2050, 2056] {
             self.code(id, USER_DEFINED);
         }
-        let title = crs::title(definition).replace('_', " ");
-        let title = crs::parameter(definition, "title").map_or("unnamed", |_| &title);
         self.text(2049, title);
         if let Some([a, b]) = crs::axes_m(definition) {
             self.numbers(2057, &[a]);
