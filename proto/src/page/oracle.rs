@@ -349,25 +349,26 @@ fn heights_beyond_the_limit_are_refused() {
     assert!(Page::new(page_id(), &samples, None).is_err());
 }
 
-#[test]
-fn the_worked_example_of_the_format_decodes() {
+/// The bytes of a block of the format's specification.
+fn worked_example(number: usize) -> Vec<u8> {
     let spec = include_str!("../../../tiles/FORMAT.md");
-    let hex = spec
-        .split("```hex")
-        .nth(1)
-        .and_then(|rest| rest.split("```").next())
-        .unwrap();
-    let mut bytes: Vec<u8> = hex
-        .split_whitespace()
+    let block = spec.split("```hex").nth(number).unwrap();
+    let hex = block.split("```").next().unwrap();
+    hex.split_whitespace()
         .map(|byte| u8::from_str_radix(byte, 16).unwrap())
-        .collect();
-    bytes.resize(bytes.len() + 17 + 57 + 209, 0);
-    let page = Page::decode(page_id(), true, 4, &bytes).unwrap();
-    for i in 0..PAGE_AREA {
-        assert_eq!(
-            page.height(i),
-            (i % PAGE_SAMPLES + 2 * (i / PAGE_SAMPLES)) as i32
-        );
+        .collect()
+}
+
+#[test]
+fn the_worked_examples_of_the_format_decode() {
+    let mut plain = worked_example(1);
+    plain.resize(plain.len() + 17 + 57 + 209, 0);
+    for (codec, bytes) in [(Codec::Plain, plain), (Codec::Dense, worked_example(2))] {
+        let page = Page::decode(page_id(), true, 4, &bytes).unwrap();
+        for i in 0..PAGE_AREA {
+            let height = (i % PAGE_SAMPLES + 2 * (i / PAGE_SAMPLES)) as i32;
+            assert_eq!(page.height(i), height);
+        }
+        assert_eq!(Record::encode(&page, codec).bytes(), bytes);
     }
-    assert_eq!(Record::encode(&page, Codec::Plain).bytes(), bytes);
 }

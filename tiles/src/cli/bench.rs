@@ -16,6 +16,9 @@ use std::time::Duration;
 /// Where several sources make one set of tables, none of them counts for more symbols of a table.
 const MOST_OF_A_SOURCE: u64 = 1 << 20;
 
+/// The system tells CPU time in steps of some milliseconds: less work than this is not timed.
+const LEAST_TIMED: Duration = Duration::from_millis(50);
+
 #[derive(Debug, Args)]
 pub(super) struct BenchArgs {
     /// DEM files, as `build` takes them
@@ -61,9 +64,9 @@ struct Measured {
     dataset_bits: f64,
     /// Of records with codec 0.
     plain_records_bits: f64,
-    /// Million heights of records a second of one core.
-    encode_msamples_s: f64,
-    decode_msamples_s: f64,
+    /// Million heights of records a second of one core; absent if it was too little work to tell.
+    encode_msamples_s: Option<f64>,
+    decode_msamples_s: Option<f64>,
     largest_error_m: f64,
     allowed_error_m: f64,
 }
@@ -104,8 +107,9 @@ const HEAD: &str = concat!(
 );
 
 fn print(m: &Measured) {
+    let speed = |told: Option<f64>| told.map_or("-".into(), |speed| format!("{speed:.1}"));
     println!(
-        "{:3} {:9.3} {:7.3} {:7.3} {:7.3} {:8.3} {:8.3} {:10.3} {:9.1} {:8.1} {:11.6} {:9.6}",
+        "{:3} {:9.3} {:7.3} {:7.3} {:7.3} {:8.3} {:8.3} {:10.3} {:>9} {:>8} {:11.6} {:9.6}",
         m.max_error,
         m.heights_bits,
         m.rests_bits,
@@ -114,8 +118,8 @@ fn print(m: &Measured) {
         m.records_bits,
         m.dataset_bits,
         m.plain_records_bits,
-        m.encode_msamples_s,
-        m.decode_msamples_s,
+        speed(m.encode_msamples_s),
+        speed(m.decode_msamples_s),
         m.largest_error_m,
         m.allowed_error_m
     );
@@ -152,7 +156,9 @@ fn measure(
     let samples = u64::from(manifest.samples[0]) * u64::from(manifest.samples[1]);
     let bits = |bits: f64| bits / samples as f64;
     let weight = coded.counts.weigh();
-    let speed = |spent: Duration| coded.heights as f64 / 1e6 / spent.as_secs_f64().max(1e-9);
+    let speed = |spent: Duration| {
+        (spent >= LEAST_TIMED).then(|| coded.heights as f64 / 1e6 / spent.as_secs_f64())
+    };
     let measured = Measured {
         max_error,
         quantum_m,

@@ -421,9 +421,10 @@ impl Levels {
             Phase::Columns => (&mut self.columns, &mut self.column_sizes, line + 1),
             Phase::West | Phase::East => {
                 let column = if phase == Phase::West { 0 } else { cells };
-                for i in 0..vertices.min(LANES) {
-                    self.columns[i + 1][column] = of.heights[i];
-                    self.column_sizes[i + 1][column] = sizes[i];
+                let known = of.heights.iter().zip(&sizes).take(vertices);
+                for (i, (&height, &residual)) in known.enumerate() {
+                    self.columns[i + 1][column] = height;
+                    self.column_sizes[i + 1][column] = residual;
                 }
                 return;
             }
