@@ -2,7 +2,7 @@
 //! wrong with a forged one, whose checksums all match.
 
 use escarp_proto::geometry::{PAGE_SAMPLES, PageId};
-use escarp_proto::page::{ChildSlot, PAGE_AREA, Page, Record, last_part};
+use escarp_proto::page::{ChildSlot, Codec, PAGE_AREA, Page, Record, last_part};
 use escarp_tests::programs::{Desk, run};
 use escarp_tests::terrain::{FunctionSource, read_samples};
 use escarp_tests::terrain::{Heights, TempDataset, build_with, hash, hills, holed_hills};
@@ -70,7 +70,7 @@ fn with_sample(data: &Dataset, id: PageId, record: &[u8], at: usize, by: i32) ->
         std::array::from_fn(|i| page.slot(escarp_proto::geometry::Slot::from_index(i as u8)));
     let slots = (!finest).then(|| Box::new(slots));
     let page = Page::new(id, &samples, slots).unwrap();
-    Record::encode(&page).bytes().to_vec()
+    Record::encode(&page, Codec::Dense).bytes().to_vec()
 }
 
 fn broken(dataset: &Dataset) -> Vec<String> {
@@ -141,7 +141,7 @@ fn a_record_of_which_its_parent_knows_nothing_and_a_missing_one_are_found() {
     let (_folder, orphan) = forged(&data.dataset, |id, record| match id == flat {
         true => {
             let page = Page::new(id, &[Some(5); PAGE_AREA], None).unwrap();
-            Some(Record::encode(&page).bytes().to_vec())
+            Some(Record::encode(&page, Codec::Dense).bytes().to_vec())
         }
         false => record.map(<[u8]>::to_vec),
     });
