@@ -60,6 +60,7 @@ impl RevisionDigest {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RecordHeader {
     pub(super) has_holes: bool,
+    pub(super) has_cuts: bool,
     pub(super) range: Range,
     /// `ends[k]`: where part `k` ends; `ends[0]` is the header's own length.
     ends: Vec<usize>,
@@ -67,6 +68,8 @@ pub struct RecordHeader {
 
 /// Bit of the tag byte: the page has a mask plane. The lower four bits name the codec.
 pub(super) const HOLES: u8 = 0x10;
+/// Bit of the tag byte: some of the page's slots are cut.
+pub(super) const CUTS: u8 = 0x20;
 const CODEC: u8 = 0x0f;
 
 impl RecordHeader {
@@ -88,8 +91,10 @@ impl RecordHeader {
         if tag & CODEC != 0 {
             return Err(value("codec", i64::from(tag & CODEC), "0"));
         }
-        if tag & !(CODEC | HOLES) != 0 {
-            return Err(value("flags", i64::from(tag >> 4), "0 or 1"));
+        let allowed = if finest { HOLES } else { HOLES | CUTS };
+        if tag & !(CODEC | allowed) != 0 {
+            let allowed = if finest { "0 or 1" } else { "0 to 3" };
+            return Err(value("flags", i64::from(tag >> 4), allowed));
         }
         let mut lengths = Vec::with_capacity(6);
         for _ in 1..=last_part(finest) {
@@ -111,6 +116,7 @@ impl RecordHeader {
             }
             _ => Ok(RecordHeader {
                 has_holes,
+                has_cuts: tag & CUTS != 0,
                 range,
                 ends,
             }),

@@ -8,18 +8,28 @@ use escarp_proto::err8::Err8;
 use escarp_proto::geometry::{
     GridLevels, PAGE_CELLS, PAGE_LEVELS, PAGE_SAMPLES, PAGE_SLOTS, PageId, Slot,
 };
-use escarp_proto::page::{ChildSlot, Kind, PAGE_AREA, Page, Range, Record};
+use escarp_proto::page::{ChildSlot, PAGE_AREA, Page, Range, Record, implied_slot};
 use rayon::prelude::*;
 use std::collections::HashMap;
 
 /// Cells on the side of a family.
 const FAMILY_CELLS: usize = PAGE_CELLS * PAGE_CELLS;
 
+/// A [`ChildSlot`] without what it carries.
+#[derive(Debug, Clone, Copy)]
+#[repr(u8)]
+enum State {
+    Full,
+    Cut,
+    Empty,
+    Mixed,
+}
+
 /// Child slots of a whole level, in little memory: one a page of the level below.
 #[derive(Debug)]
 pub(super) struct Slots {
     columns: usize,
-    kinds: Vec<Kind>,
+    states: Vec<State>,
     errors: Vec<Err8>,
     mixed: HashMap<usize, Range>,
 }
@@ -28,7 +38,7 @@ impl Slots {
     fn new(columns: usize, rows: usize) -> Slots {
         Slots {
             columns,
-            kinds: vec![Kind::Empty; columns * rows],
+            states: vec![State::Empty; columns * rows],
             errors: vec![Err8(0); columns * rows],
             mixed: HashMap::new(),
         }
@@ -36,26 +46,34 @@ impl Slots {
 
     fn set(&mut self, column: usize, row: usize, slot: ChildSlot) {
         let at = row * self.columns + column;
-        self.kinds[at] = slot.kind();
-        match slot {
-            ChildSlot::Full(error) => self.errors[at] = error,
+        self.states[at] = match slot {
+            ChildSlot::Full(error) => {
+                self.errors[at] = error;
+                State::Full
+            }
+            ChildSlot::Cut(error) => {
+                self.errors[at] = error;
+                State::Cut
+            }
             ChildSlot::Mixed(range) => {
                 self.mixed.insert(at, range);
+                State::Mixed
             }
-            ChildSlot::Empty => {}
-        }
+            ChildSlot::Empty => State::Empty,
+        };
     }
 
     /// Beyond the data there is nothing.
     fn get(&self, column: usize, row: usize) -> ChildSlot {
         let at = row * self.columns + column;
-        if column >= self.columns || at >= self.kinds.len() {
+        if column >= self.columns || at >= self.states.len() {
             return ChildSlot::Empty;
         }
-        match self.kinds[at] {
-            Kind::Full => ChildSlot::Full(self.errors[at]),
-            Kind::Empty => ChildSlot::Empty,
-            Kind::Mixed => self
+        match self.states[at] {
+            State::Full => ChildSlot::Full(self.errors[at]),
+            State::Cut => ChildSlot::Cut(self.errors[at]),
+            State::Empty => ChildSlot::Empty,
+            State::Mixed => self
                 .mixed
                 .get(&at)
                 .map_or(ChildSlot::Empty, |&r| ChildSlot::Mixed(r)),
@@ -293,7 +311,7 @@ impl Level {
             };
             id = FamilyId::of(page);
             let (made, own) = self.page(band, page, dy, slots)?;
-            if own.has_record() || page == PageId::ROOT {
+            if let Some(made) = made.filter(|_| own.has_record() || page == PageId::ROOT) {
                 records.push((slot, Record::encode(&made).bytes().to_vec()));
             }
             left.push((x, y, own));
@@ -304,13 +322,14 @@ impl Level {
         })
     }
 
+    /// A page, unless its parent's slot says all that there is to say of it.
     fn page(
         &self,
         band: &Band,
         page: PageId,
         band_row: usize,
         slots: Option<&Slots>,
-    ) -> Result<(Page, ChildSlot), BuildError> {
+    ) -> Result<(Option<Page>, ChildSlot), BuildError> {
         let (x, y) = (page.square().x as usize * PAGE_CELLS, band_row * PAGE_CELLS);
         let mut samples = [None; PAGE_AREA];
         for (row, samples) in samples.chunks_exact_mut(PAGE_SAMPLES).enumerate() {
@@ -326,13 +345,33 @@ impl Level {
                 slots.get(x + dx, y + dy)
             }))
         });
+        if page != PageId::ROOT
+            && let Some(own) = self.unstored(page, &samples, slots.as_deref())
+        {
+            return Ok((None, own));
+        }
         let finest = slots.is_none();
         let (page, bounds) = Page::with_bounds(page, &samples, slots)?;
         let own = match bounds.slot() {
             ChildSlot::Empty if finest => band.lone_samples(x, y),
             slot => slot,
         };
-        Ok((page, own))
+        Ok((Some(page), own))
+    }
+
+    /// What the parent says of a page that needs no record: there is nothing in it, or nothing
+    /// but what its corners imply.
+    fn unstored(
+        &self,
+        page: PageId,
+        samples: &[Option<i32>; PAGE_AREA],
+        slots: Option<&[ChildSlot; PAGE_SLOTS]>,
+    ) -> Option<ChildSlot> {
+        let is_empty = |slot: &ChildSlot| *slot == ChildSlot::Empty;
+        if samples.iter().all(Option::is_none) && slots.is_none_or(|s| s.iter().all(is_empty)) {
+            return Some(ChildSlot::Empty);
+        }
+        implied_slot(page, self.grid, samples, slots)
     }
 
     /// Keeps the samples at page corners for the level above.

@@ -1,6 +1,7 @@
 //! `escarp-tiles build`.
 
 use super::progress::Progress;
+use super::regions::RegionArgs;
 use super::source::SourceArgs;
 use crate::build::{BuildOptions, Quantum, build};
 use crate::dataset::Dataset;
@@ -47,6 +48,8 @@ pub(super) struct BuildArgs {
     json: bool,
     #[command(flatten)]
     source: SourceArgs,
+    #[command(flatten)]
+    regions: RegionArgs,
 }
 
 pub(super) fn run(args: &BuildArgs) -> Result<ExitCode> {
@@ -55,19 +58,21 @@ pub(super) fn run(args: &BuildArgs) -> Result<ExitCode> {
         .num_threads(usize::from(args.jobs))
         .build_global()
         .context("cannot start the threads")?;
-    let mut source = args.source.open(&args.inputs)?;
+    let source = args.source.open(&args.inputs)?;
     let name = |path: &PathBuf| {
         path.file_name()
             .unwrap_or_default()
             .to_string_lossy()
             .into_owned()
     };
+    let quantum = match (args.quantum, args.lossless) {
+        (Some(metres), _) => Quantum::Metres(metres),
+        (None, true) => Quantum::Lossless,
+        (None, false) => Quantum::Natural,
+    };
+    let (mut source, quantum) = args.regions.coarsen(source, quantum)?;
     let options = BuildOptions {
-        quantum: match (args.quantum, args.lossless) {
-            (Some(metres), _) => Quantum::Metres(metres),
-            (None, true) => Quantum::Lossless,
-            (None, false) => Quantum::Natural,
-        },
+        quantum,
         overwrite: args.overwrite,
     };
     let progress = Progress::new("building", args.json);
@@ -123,6 +128,9 @@ pub(super) fn run(args: &BuildArgs) -> Result<ExitCode> {
         manifest.georef.quantum_m,
         rounded_up(manifest.storage_error_m)
     );
+    for tolerance in &manifest.tolerances {
+        println!("{}", super::info::describe_tolerance(tolerance));
+    }
     let voids = samples - manifest.valid_samples;
     if voids > 0 {
         let share = 100.0 * voids as f64 / samples as f64;

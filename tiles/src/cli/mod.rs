@@ -6,6 +6,7 @@ mod info;
 mod input;
 mod mosaic;
 mod progress;
+mod regions;
 mod source;
 mod verify;
 

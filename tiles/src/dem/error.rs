@@ -131,7 +131,7 @@ impl DemError {
         }
     }
 
-    pub(super) fn io(path: &Path, doing: &'static str, source: std::io::Error) -> Self {
+    pub(crate) fn io(path: &Path, doing: &'static str, source: std::io::Error) -> Self {
         Self::Io {
             path: path.into(),
             doing,
