@@ -9,12 +9,24 @@ use escarp_proto::err8::Err8;
 use escarp_proto::geometry::{
     GridLevels, PAGE_CELLS, PAGE_LEVELS, PAGE_SAMPLES, PAGE_SLOTS, PageId, Slot,
 };
-use escarp_proto::page::{ChildSlot, Codec, Kind, PAGE_AREA, Page, PageError, Range, Record};
+use escarp_proto::page::{
+    ChildSlot, Codec, Kind, PAGE_AREA, Page, PageError, Range, Record, implied_slot,
+};
 use rayon::prelude::*;
 use std::collections::HashMap;
 
 /// Cells on the side of a family.
 pub(crate) const FAMILY_CELLS: usize = PAGE_CELLS * PAGE_CELLS;
+
+/// A [`ChildSlot`] without what it carries.
+#[derive(Debug, Clone, Copy)]
+#[repr(u8)]
+enum State {
+    Full,
+    Cut,
+    Empty,
+    Mixed,
+}
 
 /// Child slots of a whole level, in little memory: one a page of the level below.
 #[derive(Debug)]
@@ -22,7 +34,7 @@ pub(crate) struct Slots {
     /// The first column and row.
     first: (usize, usize),
     columns: usize,
-    kinds: Vec<Kind>,
+    states: Vec<State>,
     errors: Vec<Err8>,
     mixed: HashMap<usize, Range>,
 }
@@ -37,7 +49,7 @@ impl Slots {
         Slots {
             first,
             columns,
-            kinds: vec![Kind::Empty; columns * rows],
+            states: vec![State::Empty; columns * rows],
             errors: vec![Err8(0); columns * rows],
             mixed: HashMap::new(),
         }
@@ -45,27 +57,35 @@ impl Slots {
 
     pub(crate) fn set(&mut self, column: usize, row: usize, slot: ChildSlot) {
         let at = (row - self.first.1) * self.columns + column - self.first.0;
-        self.kinds[at] = slot.kind();
-        match slot {
-            ChildSlot::Full(error) => self.errors[at] = error,
+        self.states[at] = match slot {
+            ChildSlot::Full(error) => {
+                self.errors[at] = error;
+                State::Full
+            }
+            ChildSlot::Cut(error) => {
+                self.errors[at] = error;
+                State::Cut
+            }
             ChildSlot::Mixed(range) => {
                 self.mixed.insert(at, range);
+                State::Mixed
             }
-            ChildSlot::Empty => {}
-        }
+            ChildSlot::Empty => State::Empty,
+        };
     }
 
     /// Beyond the data there is nothing.
     pub(crate) fn get(&self, column: usize, row: usize) -> ChildSlot {
         let (column, row) = (column - self.first.0, row - self.first.1);
         let at = row * self.columns + column;
-        if column >= self.columns || at >= self.kinds.len() {
+        if column >= self.columns || at >= self.states.len() {
             return ChildSlot::Empty;
         }
-        match self.kinds[at] {
-            Kind::Full => ChildSlot::Full(self.errors[at]),
-            Kind::Empty => ChildSlot::Empty,
-            Kind::Mixed => self
+        match self.states[at] {
+            State::Full => ChildSlot::Full(self.errors[at]),
+            State::Cut => ChildSlot::Cut(self.errors[at]),
+            State::Empty => ChildSlot::Empty,
+            State::Mixed => self
                 .mixed
                 .get(&at)
                 .map_or(ChildSlot::Empty, |&r| ChildSlot::Mixed(r)),
@@ -458,8 +478,8 @@ impl Level {
         slots: Option<&Slots>,
     ) -> Result<(Option<Vec<u8>>, ChildSlot), PageError> {
         let (made, own) = self.page(band, page, band_row, slots)?;
-        let is_stored = own.has_record() || page == PageId::ROOT;
-        let record = is_stored.then(|| Record::encode(&made, self.codec).bytes().to_vec());
+        let made = made.filter(|_| own.has_record() || page == PageId::ROOT);
+        let record = made.map(|made| Record::encode(&made, self.codec).bytes().to_vec());
         Ok((record, own))
     }
 
@@ -480,13 +500,14 @@ impl Level {
             })
     }
 
+    /// A page, unless its parent's slot says all that there is to say of it.
     fn page(
         &self,
         band: &Band,
         page: PageId,
         band_row: usize,
         slots: Option<&Slots>,
-    ) -> Result<(Page, ChildSlot), PageError> {
+    ) -> Result<(Option<Page>, ChildSlot), PageError> {
         let (x, y) = (page.square().x as usize * PAGE_CELLS, band_row * PAGE_CELLS);
         let mut heights = Box::new([HOLE; PAGE_AREA]);
         for (row, heights) in heights.chunks_exact_mut(PAGE_SAMPLES).enumerate() {
@@ -504,6 +525,12 @@ impl Level {
                 slots.get(x + dx, y + dy)
             }))
         });
+        if page != PageId::ROOT
+            && valid.is_none()
+            && let Some(own) = implied_slot(page, self.grid, &heights, slots.as_deref())
+        {
+            return Ok((None, own));
+        }
         let finest = slots.is_none();
         let (page, slot) = Page::with_slot(page, heights, valid, slots)?;
         let own = match slot {
@@ -515,7 +542,7 @@ impl Level {
             }
             slot => slot,
         };
-        Ok((page, own))
+        Ok((Some(page), own))
     }
 
     /// Keeps the samples at page corners for the level above.

@@ -9,11 +9,13 @@
 mod checkpoint;
 mod level;
 mod quantise;
+mod regions;
 mod rows;
 
 pub(crate) use level::{Band, FAMILY_CELLS, Level, Slots};
 pub(crate) use quantise::HOLE;
 pub use quantise::{Quantum, choose_quantum};
+pub use regions::{Coarsened, Tolerances, Wish};
 pub(crate) use rows::{Rows, SourceRows};
 
 use crate::dataset::{DatasetError, DatasetWriter, FilledRun, FilledRuns};
@@ -169,8 +171,15 @@ pub fn build(
     };
     manifest.valid_samples = stored.valid_samples;
     manifest.height_range = stored.range;
-    manifest.storage_error_m = stored.largest_error_m;
     manifest.resampling = source.resampling();
+    manifest.tolerances = source.tolerances();
+    let moved_m = manifest.tolerances.iter().map(|t| t.largest_error_m);
+    manifest.storage_error_m = stored.largest_error_m + moved_m.fold(0.0, f64::max);
+    if !manifest.tolerances.is_empty() && quantum_m.fract() != 0.0 {
+        // Differences of heights in such steps are rounded when they are taken.
+        let largest = stored.range.map_or(0, |[lo, hi]| lo.abs().max(hi.abs()));
+        manifest.storage_error_m += f64::from(largest) * quantum_m * 4.0 * f64::EPSILON;
+    }
     Ok(writer.publish(manifest)?)
 }
 

@@ -43,7 +43,7 @@ impl<'a> PageReader<'a> {
                 .map_err(|error| DatasetError::damaged(self.dataset.folder(), error.to_string()));
         }
         let implied = match id.parent() {
-            Some((parent, slot)) => self.page(parent)?.implied_child(slot, finest),
+            Some((parent, slot)) => self.page(parent)?.implied_child(slot, self.dataset.grid()),
             None => None,
         };
         implied.ok_or_else(|| {

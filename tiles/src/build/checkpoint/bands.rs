@@ -55,17 +55,27 @@ pub(super) fn put_band(level: &Level, number: usize, above: &Above, out: &mut Ve
         let slots: Vec<ChildSlot> = (0..above.width - 1)
             .map(|column| above.slots.get(column, row))
             .collect();
-        for run in slots.chunk_by(|a, b| a.kind() == b.kind()) {
-            out.push(run[0].kind() as u8);
+        for run in slots.chunk_by(|a, b| sort_of(*a) == sort_of(*b)) {
+            out.push(sort_of(run[0]));
             put_varint(run.len() as u64, out);
             run.iter().for_each(|slot| put_slot(*slot, out));
         }
     }
 }
 
+/// Stands for a slot that is cut; the others have their kinds.
+const CUT: u8 = 3;
+
+fn sort_of(slot: ChildSlot) -> u8 {
+    match slot {
+        ChildSlot::Cut(_) => CUT,
+        slot => slot.kind() as u8,
+    }
+}
+
 fn put_slot(slot: ChildSlot, out: &mut Vec<u8>) {
     match slot {
-        ChildSlot::Full(error) => out.push(error.0),
+        ChildSlot::Full(error) | ChildSlot::Cut(error) => out.push(error.0),
         ChildSlot::Empty => {}
         ChildSlot::Mixed(range) => {
             put_zigzag(i64::from(range.lo), out);
@@ -77,6 +87,7 @@ fn put_slot(slot: ChildSlot, out: &mut Vec<u8>) {
 fn read_slot(kind: u8, reader: &mut Reader<'_>) -> Option<ChildSlot> {
     let height = |reader: &mut Reader<'_>| i32::try_from(reader.zigzag()?).ok();
     Some(match kind {
+        CUT => ChildSlot::Cut(Err8(reader.u8()?)),
         kind if kind == Kind::Full as u8 => ChildSlot::Full(Err8(reader.u8()?)),
         kind if kind == Kind::Empty as u8 => ChildSlot::Empty,
         kind if kind == Kind::Mixed as u8 => {
