@@ -50,6 +50,8 @@ pub struct Resampled {
     horizontal_error_m: f64,
     /// Source cells that one step of the target crosses at most.
     stride: f64,
+    /// The target's samples are some of the source's, side by side.
+    is_window: bool,
 }
 
 /// Heights of some rows of the target.
@@ -70,6 +72,8 @@ impl Resampled {
         let mut info = target.info(&from);
         info.format = "resampled";
         let exact = takes_samples(&from, &info, &mapping);
+        let steps = |info: &DemInfo| [info.placement.dx, info.placement.dy];
+        let is_window = exact && steps(&from) == steps(&info);
         let mut step_m = 0.0;
         if !exact && from.sample_type.is_integer() {
             step_m = from.height_step_m.abs() * STEP_PART;
@@ -88,7 +92,8 @@ impl Resampled {
         let horizontal_error_m = horizontal_error_m(&from, &mapping);
         let stride = stride(&info, &mapping);
         Ok(Resampled {
-            counted: vec![false; info.height.div_ceil(BAND_ROWS) as usize],
+            // Nothing is lost in a window, so that nothing is measured.
+            counted: vec![is_window; info.height.div_ceil(BAND_ROWS) as usize],
             blocks: Blocks::new(source),
             info,
             from,
@@ -99,6 +104,7 @@ impl Resampled {
             measured: Measured::default(),
             horizontal_error_m,
             stride,
+            is_window,
         })
     }
 
@@ -277,6 +283,9 @@ impl DemSource for Resampled {
     }
 
     fn resampling(&self) -> Option<Resampling> {
+        if self.is_window {
+            return None;
+        }
         Some(Resampling {
             from_crs: self.from.crs.name().to_owned(),
             from_spacing: [self.from.placement.dx, self.from.placement.dy],

@@ -437,6 +437,15 @@ fn a_whole_turn_has_no_seam() {
             "{lon}"
         );
     }
+    assert_eq!(placed.resampling(), None);
+    // A rounded third of a degree is a whole turn, too, and its samples stay exact.
+    let mut third = info("EPSG:4326", [1081, 21], [20.166_667, 5.0], [0.333_333_3; 2]);
+    third.sample_type = SampleType::I16;
+    let source = formula(third, |lon, _| (lon * 3.0).round());
+    let bounds = Some([10.0, -1.0, 30.0, 1.0]);
+    let mut placed = place(Box::new(source), &wish("", None, bounds)).unwrap();
+    assert_eq!((placed.info().width, placed.resampling()), (60, None));
+    assert!(all(&mut *placed).iter().all(|h| h.fract() == 0.0));
     let source = formula(info("EPSG:4326", [720, 21], [20.0, 5.0], [0.5; 2]), height);
     let mut placed = place(
         Box::new(source),
