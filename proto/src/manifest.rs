@@ -2,7 +2,7 @@
 
 use crate::geometry::GridLevels;
 use crate::georef::Georef;
-use crate::page::MAX_HEIGHT;
+use crate::page::{Codec, MAX_HEIGHT};
 use crate::view::FARTHEST_EYE_M;
 use serde::{Deserialize, Serialize};
 
@@ -36,7 +36,7 @@ pub struct Manifest {
     pub georef: Georef,
     /// The largest difference of a stored sample from its source, metres, rounded up.
     pub storage_error_m: f64,
-    /// Codec of the records.
+    /// Codec of the records, as a [`Codec`]'s number.
     pub codec: u8,
     /// Pages that have a record.
     pub pages: u64,
@@ -177,8 +177,8 @@ impl Manifest {
         if !(self.storage_error_m.is_finite() && self.storage_error_m >= 0.0) {
             return Err(format!("storage error {} m", self.storage_error_m));
         }
-        if self.codec != 0 {
-            return Err(format!("codec {}, allowed is 0", self.codec));
+        if Codec::from_u8(self.codec).is_none() {
+            return Err(format!("codec {}, allowed are 0 and 1", self.codec));
         }
         self.check_changes()?;
         self.georef.check()?;

@@ -62,6 +62,18 @@ pub fn files(dataset: &Path) -> Vec<String> {
     names
 }
 
+/// Names and contents of a dataset's files, but the lock.
+///
+/// # Panics
+/// If they cannot be read.
+pub fn contents(dataset: &Path) -> Vec<(String, Vec<u8>)> {
+    let read = |name: String| {
+        let bytes = fs::read(dataset.join(&name)).unwrap();
+        (name, bytes)
+    };
+    files(dataset).into_iter().map(read).collect()
+}
+
 /// Changes one byte at a place that looks random, and says which.
 pub fn flip(bytes: &mut [u8], seed: u32) -> usize {
     let at = hash(seed, 1) as usize % bytes.len();

@@ -148,7 +148,11 @@ pub fn build_with(
     quantum: Quantum,
     overwrite: bool,
 ) -> Result<Manifest, BuildError> {
-    let options = BuildOptions { quantum, overwrite };
+    let options = BuildOptions {
+        quantum,
+        overwrite,
+        ..BuildOptions::default()
+    };
     build(source, path, vec!["test".into()], options, &|_, _| {})
 }
 

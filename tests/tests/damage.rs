@@ -3,7 +3,7 @@
 
 use escarp_client::app::TerrainClient;
 use escarp_proto::geometry::PageId;
-use escarp_proto::page::last_part;
+use escarp_proto::page::{Codec, last_part};
 use escarp_proto::wire::{
     Class, ClientMessage, Hello, Miss, MissReason, PROTOCOL, ServerMessage, Want,
 };
@@ -213,7 +213,7 @@ fn a_server_says_which_page_is_damaged_and_goes_on() {
             oldest: PROTOCOL,
             newest: PROTOCOL,
             capabilities: 0,
-            codecs: 1,
+            codecs: Codec::KNOWN,
             dataset: "moon".into(),
             credit_bytes: 1 << 20,
             token: None,

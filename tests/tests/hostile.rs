@@ -4,6 +4,7 @@
 use escarp_client::app::TerrainClient;
 use escarp_client::app::headless::Driver;
 use escarp_proto::geometry::PageId;
+use escarp_proto::page::Codec;
 use escarp_proto::wire::{
     Chunk, Class, ClientMessage, Hello, Miss, MissReason, PROTOCOL, ServerMessage, Want,
 };
@@ -31,7 +32,7 @@ fn hello() -> ClientMessage {
         oldest: PROTOCOL,
         newest: PROTOCOL,
         capabilities: 0,
-        codecs: 1,
+        codecs: Codec::KNOWN,
         dataset: "moon".into(),
         credit_bytes: 1 << 20,
         token: None,

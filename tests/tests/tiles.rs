@@ -1,7 +1,7 @@
 //! Building and verifying: every bound of every shape, the same bytes each time, and no half-built
 //! dataset taken for a whole one.
 
-use escarp_tests::files::{Copy, files};
+use escarp_tests::files::{Copy, contents as bytes, files};
 use escarp_tests::terrain::{
     FunctionSource, Heights, TempDataset, build_with, cliff, hash, hills, holed_hills,
     read_samples, spike,
@@ -105,14 +105,6 @@ fn refused(path: &Path) {
         text.contains(&path.display().to_string()) && text.contains("build"),
         "{text}"
     );
-}
-
-fn bytes(dataset: &Path) -> Vec<(String, Vec<u8>)> {
-    let read = |name: &String| std::fs::read(dataset.join(name)).unwrap();
-    files(dataset)
-        .iter()
-        .map(|name| (name.clone(), read(name)))
-        .collect()
 }
 
 #[test]

@@ -16,6 +16,8 @@ pub mod build;
 
 pub mod dataset;
 
+pub mod update;
+
 pub mod export;
 
 pub mod verify;

@@ -1,13 +1,12 @@
 //! What the client says, in the order of urgency, and when it has to.
 
 use super::{Link, LinkState};
+use escarp_proto::page::Codec;
 use escarp_proto::wire::{ClientMessage, Have, Hello, MAX_LIST, PROTOCOL};
 use std::time::Duration;
 
 /// Items in one message: few enough that the line is soon free for what is more urgent.
 pub(super) const ITEMS_A_MESSAGE: usize = 1024;
-/// Codec 0 is understood.
-const CODECS: u32 = 1;
 
 const _: () = assert!(ITEMS_A_MESSAGE <= MAX_LIST);
 
@@ -50,7 +49,7 @@ impl Link {
                 oldest: PROTOCOL,
                 newest: PROTOCOL,
                 capabilities: 0,
-                codecs: CODECS,
+                codecs: Codec::KNOWN,
                 dataset: self.config.dataset.clone(),
                 credit_bytes: self.credit.granted(),
                 token: self.config.token.clone(),

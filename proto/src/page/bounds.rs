@@ -16,6 +16,8 @@
 //! page's own vertices, plus the bound of the cell below: they are linear in each cell, so that
 //! its corners suffice.
 
+mod full;
+
 use super::flat::two_triangles;
 use super::{ChildSlot, Kind, MAX_SPAN, Page, Range, level_step};
 use crate::err8::Err8;
@@ -83,6 +85,70 @@ impl Bounds {
     /// Derives all bounds. `promise` is what the parent's slot says of the page; it holds for
     /// every triangle in it, and caps what a page that is not whole must assume.
     pub fn derive(page: &Page, promise: Option<BoxError>) -> Bounds {
+        match uniform(page) {
+            Some(below) => Bounds::derive_full(page, below, promise),
+            None => Bounds::derive_plain(page, promise),
+        }
+    }
+
+    /// For a page without holes whose cells all have one bound.
+    fn derive_full(page: &Page, below: u32, promise: Option<BoxError>) -> Bounds {
+        let depth = page.depth();
+        let mut bounds = Bounds {
+            depth,
+            squares: vec![NOTHING; square_index(depth, 0, 0)],
+            cells: full::cells(page, below, promise),
+        };
+        let cap = promise.map_or(MAX_SPAN, |promise| promise.error);
+        let limits = (below, cap.min(MAX_SPAN));
+        full::squares(page, |(level, column, row), rises, own| {
+            let square = bounds.saturate(&own, (level, column, row), rises, limits);
+            bounds.squares[square_index(level, column, row)] = square;
+        });
+        bounds
+    }
+
+    /// What is known of a full square: at least what is known of those below.
+    fn saturate(
+        &self,
+        own: &full::Own,
+        (level, column, row): (u8, usize, usize),
+        rises: bool,
+        (below, cap): (u32, u32),
+    ) -> SquareErrors {
+        let mut square = SquareErrors {
+            kinds: [Kind::Full; 4],
+            half_kinds: [Kind::Full; 2],
+            ..NOTHING
+        };
+        let bound = |own: u64| (own + u64::from(below)).min(u64::from(cap)) as u32;
+        let mut halves = [[0; 2]; 4];
+        for quadrant in Quadrant::ALL {
+            let (dx, dy) = quadrant.offset();
+            let (x, y) = (2 * column + dx as usize, 2 * row + dy as usize);
+            let range = match level + 1 == self.depth {
+                true => self.cells[(y << self.depth) + x].range,
+                false => self.square(level + 1, x, y).range,
+            };
+            square.range = square.range.union(range);
+            halves[quadrant as usize] = [0, 1].map(|half| self.half(level + 1, x, y, half).0);
+        }
+        for edge in Edge::ALL {
+            let below = edge
+                .quadrants()
+                .map(|quadrant| halves[quadrant as usize][half_facing(edge, quadrant)]);
+            let own = bound(own.edges[edge as usize]);
+            square.edges[edge as usize] = own.max(below[0]).max(below[1]);
+        }
+        for (half, edges) in edges_of_halves(rises).into_iter().enumerate() {
+            let [a, b] = edges.map(|edge| square.edges[edge as usize]);
+            square.halves[half] = bound(own.halves[half]).max(a).max(b);
+        }
+        square
+    }
+
+    /// For any page, square by square; slow, and the oracle of the quick way.
+    pub(super) fn derive_plain(page: &Page, promise: Option<BoxError>) -> Bounds {
         let mut bounds = Bounds {
             depth: page.depth(),
             squares: Vec::new(),
@@ -146,7 +212,7 @@ impl Bounds {
     }
 
     /// For a whole page: how far the surface may be from the mesh of its parts `1..=k`, by `k - 1`.
-    pub(super) fn rest_errors(&self) -> [Err8; PAGE_LEVELS as usize] {
+    fn rest_errors(&self) -> [Err8; PAGE_LEVELS as usize] {
         std::array::from_fn(|i| {
             let level = i as u8 + 1;
             let boxes = (0..1 << level)
@@ -237,8 +303,6 @@ struct Grid {
     depth: u8,
     side: usize,
     heights: Vec<i64>,
-    /// Whether all cells have the same bound; deviations are then taken sample by sample.
-    uniform: Option<u32>,
 }
 
 impl Grid {
@@ -248,16 +312,10 @@ impl Grid {
         let side = (1 << depth) + 1;
         let sample = |i: usize| (i / side) * step * PAGE_SAMPLES + (i % side) * step;
         let heights = (0..side * side).map(|i| i64::from(page.height(sample(i))));
-        let uniform = match (page.has_slots(), page.has_holes(), page.is_finest()) {
-            (false, _, true) if depth == PAGE_LEVELS => Some(0),
-            (false, false, _) => Some(page.rest[depth as usize - 1].bound()),
-            _ => None,
-        };
         Grid {
             depth,
             side,
             heights: heights.collect(),
-            uniform,
         }
     }
 
@@ -328,10 +386,6 @@ impl Grid {
             (2 * half * height(u, v) - plane).unsigned_abs()
         };
         let scale = 2 * half as u64;
-        if let Some(below) = self.uniform {
-            let rows = (0..=half).map(|v| (-v..=v).map(|u| deviation(u, v)).max().unwrap_or(0));
-            return sum_up(rows.max().unwrap_or(0), scale, below);
-        }
         let mut largest = 0;
         for v in 0..half {
             for u in -v - 1..=v {
@@ -343,7 +397,7 @@ impl Grid {
                 largest = largest.max(own + scale * u64::from(cells[cell].error));
             }
         }
-        sum_up(largest, scale, 0)
+        round_up(largest, scale)
     }
 
     /// Bound of a full half of a square: 0 the southern, 1 the northern.
@@ -374,13 +428,6 @@ impl Grid {
             (false, 0) => (0, side - v),
             (false, _) => (side - v, side),
         };
-        if let Some(below) = self.uniform {
-            let rows = (0..=side).map(|v| {
-                let (first, last) = columns(v);
-                (first..=last).map(|u| deviation(u, v)).max().unwrap_or(0)
-            });
-            return sum_up(rows.max().unwrap_or(0), side as u64, below);
-        }
         let mut largest = 0;
         for v in 0..side {
             let (a, b) = (columns(v), columns(v + 1));
@@ -394,13 +441,39 @@ impl Grid {
                 largest = largest.max(south.max(north) + below);
             }
         }
-        sum_up(largest, side as u64, 0)
+        round_up(largest, side as u64)
     }
 }
 
-/// `scaled / scale + below`, rounded up, within what a deviation can be.
-fn sum_up(scaled: u64, scale: u64, below: u32) -> u32 {
-    (scaled.div_ceil(scale) + u64::from(below)).min(u64::from(MAX_SPAN)) as u32
+/// `scaled / scale`, rounded up, within what a deviation can be.
+fn round_up(scaled: u64, scale: u64) -> u32 {
+    scaled.div_ceil(scale).min(u64::from(MAX_SPAN)) as u32
+}
+
+/// For a whole page: how far the surface may be from the mesh of its parts `1..=k`, by `k - 1`;
+/// and what the parent's slot must say of it.
+pub(super) fn of_whole(page: &Page) -> ([Err8; PAGE_LEVELS as usize], ChildSlot) {
+    if page.has_slots() || page.has_holes() {
+        let bounds = Bounds::derive(page, None);
+        return (bounds.rest_errors(), bounds.slot());
+    }
+    // Each square's bound is at least that of what it splits into.
+    let [mut root, mut one, mut two, three] = full::largest(page);
+    two = two.max(three);
+    one = one.max(two);
+    root = root.max(one);
+    let largest = [root, one, two, three, 0];
+    let codes = largest.map(|error| covering(error.min(u64::from(MAX_SPAN)) as u32));
+    let [root, rest @ ..] = codes;
+    (rest, ChildSlot::Full(root))
+}
+
+/// The bound of all cells of a page, if they have the same and there are no holes.
+fn uniform(page: &Page) -> Option<u32> {
+    match page.slot(Slot::at(0, 0)) {
+        ChildSlot::Full(error) if !page.has_slots() && !page.has_holes() => Some(error.bound()),
+        _ => None,
+    }
 }
 
 /// A cell's bound under what the parent says of the whole page.

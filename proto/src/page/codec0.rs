@@ -6,17 +6,18 @@
 //! prediction itself is the fill, so that prediction never needs a special case. Decoding is safe
 //! on untrusted input: it allocates one page, whatever the bytes say.
 
-use super::record::{self, HOLES, RecordHeader};
+use super::record::{self, Codec, HOLES, RecordHeader, Tag};
 use super::{
-    ChildSlot, MAX_HEIGHT, MAX_SPAN, PAGE_AREA, Page, PageError, Range, SLOT_PART, last_part,
-    level_step,
+    ChildSlot, MAX_HEIGHT, MAX_SPAN, PAGE_AREA, Page, PageError, Range, SLOT_PART, codec1,
+    last_part, level_step,
 };
 use crate::bytes::{Reader, put_varint, put_zigzag};
 use crate::err8::Err8;
 use crate::geometry::{PAGE_LEVELS, PAGE_SAMPLES, PAGE_SLOTS, PageId};
 
 /// The page's corners: south-west, south-east, north-west, north-east.
-const CORNERS: [usize; 4] = [0, PAGE_SAMPLES - 1, PAGE_AREA - PAGE_SAMPLES, PAGE_AREA - 1];
+pub(super) const CORNERS: [usize; 4] =
+    [0, PAGE_SAMPLES - 1, PAGE_AREA - PAGE_SAMPLES, PAGE_AREA - 1];
 
 pub(super) fn check_height(page: PageId, height: i64) -> Result<i32, PageError> {
     if height.unsigned_abs() <= MAX_HEIGHT as u64 {
@@ -49,7 +50,7 @@ fn level_vertices(level: u8) -> impl Iterator<Item = (usize, usize)> {
 }
 
 /// Mean of the coarser vertices that a vertex of this level splits.
-fn prediction(heights: &[i32; PAGE_AREA], level: u8, column: usize, row: usize) -> i32 {
+pub(super) fn prediction(heights: &[i32; PAGE_AREA], level: u8, column: usize, row: usize) -> i32 {
     let step = level_step(level);
     let at = row * PAGE_SAMPLES + column;
     let sum = |a: usize, b: usize| i64::from(heights[a]) + i64::from(heights[b]);
@@ -68,7 +69,7 @@ fn prediction(heights: &[i32; PAGE_AREA], level: u8, column: usize, row: usize) 
 }
 
 /// What stands before the first valid corner.
-fn corner_start(page: &Page) -> i32 {
+pub(super) fn corner_start(page: &Page) -> i32 {
     if page.range.is_empty() {
         0
     } else {
@@ -181,13 +182,20 @@ impl Page {
     /// # Errors
     /// [`PageError`] if anything is cut short, left over or out of range.
     pub fn decode(id: PageId, finest: bool, parts: u8, bytes: &[u8]) -> Result<Page, PageError> {
-        let header = RecordHeader::read(id, finest, bytes)?;
         let mut page = Page::blank(id, finest);
-        if header.has_holes {
-            page.valid = Some(Box::new([true; PAGE_AREA]));
-            page.range = header.range;
-        }
-        let start = header.part_bytes(0, 0).map_or(0, |header| header.end);
+        let tag = Tag::read(id, bytes)?;
+        page.valid = tag.has_holes.then(|| Box::new([true; PAGE_AREA]));
+        let start = match tag.codec {
+            Codec::Plain => {
+                let header = RecordHeader::read(id, finest, bytes)?;
+                page.range = header.range;
+                header.part_bytes(0, 0).map_or(0, |header| header.end)
+            }
+            Codec::Dense => {
+                page.stream = Some(codec1::Stream::start(tag));
+                1
+            }
+        };
         page.extend(parts, &bytes[start..])?;
         Ok(page)
     }
@@ -205,6 +213,9 @@ impl Page {
                 found: i64::from(parts),
                 allowed,
             });
+        }
+        if let Some(stream) = self.stream {
+            return codec1::extend(self, stream, parts, bytes).map(|_| ());
         }
         let mut longer = self.clone();
         let mut reader = Reader::new(bytes);
@@ -324,7 +335,12 @@ impl Page {
         }
     }
 
-    const fn value(&self, field: &'static str, found: i64, allowed: &'static str) -> PageError {
+    pub(super) const fn value(
+        &self,
+        field: &'static str,
+        found: i64,
+        allowed: &'static str,
+    ) -> PageError {
         PageError::Value {
             page: self.id,
             field,

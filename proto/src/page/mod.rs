@@ -7,13 +7,15 @@
 
 mod bounds;
 mod codec0;
+mod codec1;
 mod flat;
 #[cfg(test)]
 pub(crate) mod oracle;
 mod record;
 
 pub use bounds::{Bounds, BoxError, SquareErrors, square_index};
-pub use record::{Record, RecordHeader, RevisionDigest, revision};
+pub use codec1::{CodedBits, SymbolCounts};
+pub use record::{Codec, Record, RecordHeader, RevisionDigest, revision};
 
 use crate::err8::Err8;
 use crate::geometry::{PAGE_CELLS, PAGE_LEVELS, PAGE_SAMPLES, PAGE_SLOTS, PageId, Slot};
@@ -211,6 +213,8 @@ pub struct Page {
     /// `rest[k - 1]`: how far the surface may be from the mesh of parts `1..=k`.
     rest: [Err8; PAGE_LEVELS as usize],
     slots: Option<Box<[ChildSlot; PAGE_SLOTS]>>,
+    /// While parts of a dense record are missing: where the decoder stands.
+    stream: Option<codec1::Stream>,
 }
 
 impl Page {
@@ -224,33 +228,49 @@ impl Page {
         samples: &[Option<i32>; PAGE_AREA],
         slots: Option<Box<[ChildSlot; PAGE_SLOTS]>>,
     ) -> Result<Page, PageError> {
-        Page::with_bounds(id, samples, slots).map(|(page, _)| page)
+        let holes = samples.iter().any(Option::is_none);
+        let valid = holes.then(|| Box::new(samples.map(|sample| sample.is_some())));
+        let heights = Box::new(samples.map(|sample| sample.unwrap_or(0)));
+        Page::with_slot(id, heights, valid, slots).map(|(page, _)| page)
     }
 
-    /// As [`new`](Self::new), with the page's own bounds, from which its parent's slot follows.
+    /// As [`new`](Self::new), with what the parent's slot must say of the page. `valid` is given
+    /// if any sample is a hole; the heights there count for nothing.
     ///
     /// # Errors
     /// [`PageError::Value`] if a height is beyond [`MAX_HEIGHT`].
-    pub fn with_bounds(
+    pub fn with_slot(
         id: PageId,
-        samples: &[Option<i32>; PAGE_AREA],
+        heights: Box<[i32; PAGE_AREA]>,
+        valid: Option<Box<[bool; PAGE_AREA]>>,
         slots: Option<Box<[ChildSlot; PAGE_SLOTS]>>,
-    ) -> Result<(Page, Bounds), PageError> {
-        let mut page = Page::blank(id, slots.is_none());
-        page.parts = page.last_part();
-        page.slots = slots;
-        for (height, sample) in page.heights.iter_mut().zip(samples) {
-            *height = sample.unwrap_or(0);
-            codec0::check_height(id, i64::from(*height))?;
+    ) -> Result<(Page, ChildSlot), PageError> {
+        let mut page = Page {
+            id,
+            finest: slots.is_none(),
+            parts: last_part(slots.is_none()),
+            heights,
+            valid,
+            range: Range::EMPTY,
+            rest: [Err8(0); PAGE_LEVELS as usize],
+            slots,
+            stream: None,
+        };
+        for (i, &height) in page.heights.iter().enumerate() {
+            if page.is_valid(i) {
+                codec0::check_height(id, i64::from(height))?;
+            }
         }
-        if samples.iter().any(Option::is_none) || page.slot_kinds().any(|kind| kind != Kind::Full) {
-            page.valid = Some(Box::new(samples.map(|sample| sample.is_some())));
+        if page.valid.is_none() && page.slot_kinds().any(|kind| kind != Kind::Full) {
+            page.valid = Some(Box::new([true; PAGE_AREA]));
+        }
+        if page.has_holes() {
             page.range = page.holed_range();
             codec0::fill_holes(&mut page);
         }
-        let bounds = Bounds::derive(&page, None);
-        page.rest = bounds.rest_errors();
-        Ok((page, bounds))
+        let (rest, slot) = bounds::of_whole(&page);
+        page.rest = rest;
+        Ok((page, slot))
     }
 
     fn blank(id: PageId, finest: bool) -> Page {
@@ -263,6 +283,7 @@ impl Page {
             range: Range::EMPTY,
             rest: [Err8(0); PAGE_LEVELS as usize],
             slots: None,
+            stream: None,
         }
     }
 

@@ -1,6 +1,6 @@
 //! A page's record: its parts, one after the other, and where each ends.
 
-use super::{MAX_RECORD_BYTES, Page, PageError, Range, codec0, last_part};
+use super::{MAX_RECORD_BYTES, Page, PageError, Range, codec0, codec1, last_part};
 use crate::bytes::Reader;
 use crate::geometry::PageId;
 use std::ops::Range as Bytes;
@@ -11,11 +11,38 @@ pub struct Record {
     bytes: Vec<u8>,
 }
 
+/// How a record's parts are coded. The number stands in the lower four bits of its first byte.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Codec {
+    /// Zig-zag varints: simple, and the oracle of the other.
+    Plain = 0,
+    /// Residuals of interpolating predictions in one entropy-coded stream.
+    Dense = 1,
+}
+
+impl Codec {
+    /// Bit `n` is set for codec `n`: what this crate reads and writes.
+    pub const KNOWN: u32 = 1 << Codec::Plain as u32 | 1 << Codec::Dense as u32;
+
+    /// The codec of a number; `None` if there is none.
+    pub const fn from_u8(number: u8) -> Option<Codec> {
+        match number {
+            0 => Some(Codec::Plain),
+            1 => Some(Codec::Dense),
+            _ => None,
+        }
+    }
+}
+
 impl Record {
-    /// Encodes a whole page with codec 0.
-    pub fn encode(page: &Page) -> Record {
+    /// Encodes a whole page.
+    pub fn encode(page: &Page, codec: Codec) -> Record {
         Record {
-            bytes: codec0::encode(page),
+            bytes: match codec {
+                Codec::Plain => codec0::encode(page),
+                Codec::Dense => codec1::encode(page),
+            },
         }
     }
 
@@ -67,52 +94,64 @@ pub struct RecordHeader {
 
 /// Bit of the tag byte: the page has a mask plane. The lower four bits name the codec.
 pub(super) const HOLES: u8 = 0x10;
+/// Bit of the tag byte: heights are stored as they are.
+pub(super) const RAW: u8 = 0x20;
 const CODEC: u8 = 0x0f;
 
-impl RecordHeader {
-    /// Reads the header of a record, or of any prefix that holds it.
-    ///
-    /// # Errors
-    /// [`PageError`] if a field is cut short or out of range; the parts themselves are not looked
-    /// at, but their lengths add up to at most [`MAX_RECORD_BYTES`].
-    pub fn read(page: PageId, finest: bool, record: &[u8]) -> Result<RecordHeader, PageError> {
-        let mut reader = Reader::new(record);
-        let short = |field| move || PageError::Short { page, field };
+/// What a record's first byte says.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Tag {
+    pub(super) codec: Codec,
+    pub(super) has_holes: bool,
+    /// Heights are stored as they are.
+    pub(super) is_raw: bool,
+}
+
+impl Tag {
+    pub(super) fn read(page: PageId, record: &[u8]) -> Result<Tag, PageError> {
         let value = |field, found, allowed| PageError::Value {
             page,
             field,
             found,
             allowed,
         };
-        let tag = reader.u8().ok_or_else(short("tag"))?;
-        if tag & CODEC != 0 {
-            return Err(value("codec", i64::from(tag & CODEC), "0"));
-        }
-        if tag & !(CODEC | HOLES) != 0 {
-            return Err(value("flags", i64::from(tag >> 4), "0 or 1"));
-        }
-        let mut lengths = Vec::with_capacity(6);
-        for _ in 1..=last_part(finest) {
-            let length = reader.varint().ok_or_else(short("part length"))?;
-            if length > MAX_RECORD_BYTES as u64 {
-                return Err(value("part length", length as i64, "0..=8192"));
-            }
-            lengths.push(length as usize);
-        }
-        let has_holes = tag & HOLES != 0;
-        let range = match has_holes {
-            true => read_range(page, &mut reader)?,
-            false => Range::EMPTY,
+        let tag = *record
+            .first()
+            .ok_or(PageError::Short { page, field: "tag" })?;
+        let codec = tag & CODEC;
+        let codec = Codec::from_u8(codec).ok_or(value("codec", i64::from(codec), "0 or 1"))?;
+        let (flags, allowed) = match codec {
+            Codec::Plain => (HOLES, "0 or 1"),
+            Codec::Dense => (HOLES | RAW, "0..=3"),
         };
-        let ends = ends_of(reader.position(), &lengths);
-        match ends.last() {
-            Some(&end) if end > MAX_RECORD_BYTES => {
-                Err(value("record length", end as i64, "0..=8192"))
-            }
-            _ => Ok(RecordHeader {
+        if tag & !(CODEC | flags) != 0 {
+            return Err(value("flags", i64::from(tag >> 4), allowed));
+        }
+        Ok(Tag {
+            codec,
+            has_holes: tag & HOLES != 0,
+            is_raw: tag & RAW != 0,
+        })
+    }
+}
+
+impl RecordHeader {
+    /// Reads what a whole record holds, and where.
+    ///
+    /// # Errors
+    /// [`PageError`] if a field is cut short or out of range. The parts of a plain record are not
+    /// looked at, but their lengths add up to at most [`MAX_RECORD_BYTES`]. A dense record does
+    /// not say how long its parts are: it is decoded, which may fail for all that
+    /// [`Page::decode`] may fail for.
+    pub fn read(page: PageId, finest: bool, record: &[u8]) -> Result<RecordHeader, PageError> {
+        let tag = Tag::read(page, record)?;
+        let has_holes = tag.has_holes;
+        match tag.codec {
+            Codec::Plain => read_plain(page, finest, has_holes, record),
+            Codec::Dense => Ok(RecordHeader {
                 has_holes,
-                range,
-                ends,
+                range: Range::EMPTY,
+                ends: codec1::part_ends(page, finest, tag, record)?,
             }),
         }
     }
@@ -135,6 +174,44 @@ impl RecordHeader {
         };
         let end = *self.ends.get(last as usize)?;
         (start <= end).then_some(start..end)
+    }
+}
+
+fn read_plain(
+    page: PageId,
+    finest: bool,
+    has_holes: bool,
+    record: &[u8],
+) -> Result<RecordHeader, PageError> {
+    let mut reader = Reader::new(record);
+    let short = |field| move || PageError::Short { page, field };
+    let value = |field, found, allowed| PageError::Value {
+        page,
+        field,
+        found,
+        allowed,
+    };
+    reader.u8().ok_or_else(short("tag"))?;
+    let mut lengths = Vec::with_capacity(6);
+    for _ in 1..=last_part(finest) {
+        let length = reader.varint().ok_or_else(short("part length"))?;
+        if length > MAX_RECORD_BYTES as u64 {
+            return Err(value("part length", length as i64, "0..=8192"));
+        }
+        lengths.push(length as usize);
+    }
+    let range = match has_holes {
+        true => read_range(page, &mut reader)?,
+        false => Range::EMPTY,
+    };
+    let ends = ends_of(reader.position(), &lengths);
+    match ends.last() {
+        Some(&end) if end > MAX_RECORD_BYTES => Err(value("record length", end as i64, "0..=8192")),
+        _ => Ok(RecordHeader {
+            has_holes,
+            range,
+            ends,
+        }),
     }
 }
 

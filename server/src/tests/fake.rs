@@ -5,7 +5,7 @@ use escarp_proto::err8::Err8;
 use escarp_proto::geometry::{GridLevels, PAGE_SLOTS, PageId};
 use escarp_proto::georef::{Georef, Plane};
 use escarp_proto::manifest::{FORMAT, FileCheck, Manifest, Segment, VERSION};
-use escarp_proto::page::{ChildSlot, PAGE_AREA, Page, Record, revision};
+use escarp_proto::page::{ChildSlot, Codec, PAGE_AREA, Page, Record, revision};
 use std::borrow::Cow;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
@@ -100,7 +100,7 @@ fn noise(id: PageId, manifest: &Manifest) -> Vec<u8> {
     let finest = manifest.grid_levels.is_finest(id);
     let slots = (!finest).then(|| Box::new([ChildSlot::Full(Err8(9)); PAGE_SLOTS]));
     let page = Page::new(id, &samples, slots).unwrap();
-    Record::encode(&page).bytes().to_vec()
+    Record::encode(&page, Codec::Plain).bytes().to_vec()
 }
 
 fn manifest() -> Manifest {

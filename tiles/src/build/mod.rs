@@ -3,28 +3,35 @@
 //! The finest pages are made band by band, 256 rows of cells at a time, from north to south as
 //! the rows come. Each band's families are encoded on all cores. What a band leaves behind is one
 //! height and one child slot a page: the samples and slots of the level above, a 256th in size.
-//! The levels above are then made in the same way from memory. Memory is bounded by two bands and
-//! a few bytes for each finest page; nothing is written but the dataset itself.
+//! The levels above are then made in the same way from memory. The next band is read meanwhile.
+//! Memory is bounded by two bands and a few bytes for each finest page; nothing is written but the dataset itself.
 
+mod checkpoint;
 mod level;
 mod quantise;
 mod rows;
 
+pub(crate) use level::{Band, FAMILY_CELLS, Level, Slots};
+pub(crate) use quantise::HOLE;
 pub use quantise::{Quantum, choose_quantum};
+pub(crate) use rows::{Rows, SourceRows};
 
 use crate::dataset::{DatasetError, DatasetWriter, FilledRun, FilledRuns};
 use crate::dem::{self, DemError, DemSource, Fills};
 use crate::frame::{georef_of, scale_error_percent};
+use checkpoint::Checkpoints;
 use escarp_proto::geometry::GridLevels;
 use escarp_proto::manifest::{FORMAT, FileCheck, Manifest, VERSION};
-use escarp_proto::page::PageError;
-use level::{Level, MemoryRows};
-use rows::{SourceRows, Stored};
+use escarp_proto::page::{Codec, PageError};
+use level::MemoryRows;
 use std::path::{Path, PathBuf};
 use thiserror::Error;
 
 /// No dataset has more samples, holes included: a few bytes are kept for 256 of them.
 pub const MAX_SAMPLES: u64 = 1 << 36;
+
+/// Samples between two checkpoints: a few seconds of work.
+pub const CHECKPOINT_SAMPLES: u64 = 1 << 26;
 
 /// Why a build stopped. Nothing is published then.
 #[derive(Debug, Error)]
@@ -49,12 +56,38 @@ pub enum BuildError {
 }
 
 /// How to build.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct BuildOptions {
     /// Metres a unit of stored height.
     pub quantum: Quantum,
+    /// How records are coded.
+    pub codec: Codec,
     /// Replace what is published under the same name.
     pub overwrite: bool,
+    /// Go on with what an unfinished build left behind, if it left anything.
+    pub resume: bool,
+    /// What else decides the result, in words: a build goes on only with the work of one that
+    /// said the same.
+    pub identity: Vec<String>,
+    /// Go on although lines of `identity` that start with `input` differ: the user vouches that
+    /// what was read before is the same, as when a bad block was repaired.
+    pub accept_changed: bool,
+    /// Samples between two checkpoints. The result does not depend on it.
+    pub checkpoint_samples: u64,
+}
+
+impl Default for BuildOptions {
+    fn default() -> Self {
+        BuildOptions {
+            quantum: Quantum::Natural,
+            codec: Codec::Dense,
+            overwrite: false,
+            resume: false,
+            identity: Vec::new(),
+            accept_changed: false,
+            checkpoint_samples: CHECKPOINT_SAMPLES,
+        }
+    }
 }
 
 /// What a build is about to say of itself: rows of the finest level done, and rows in all.
@@ -63,7 +96,8 @@ pub type Progress<'a> = &'a (dyn Fn(u64, u64) + Sync);
 /// Builds and publishes a dataset from a source, using the current rayon thread pool.
 ///
 /// # Errors
-/// [`BuildError`]; what was published before stays.
+/// [`BuildError`]; what was published before stays. If the build had come to a checkpoint, and
+/// another try may do better, its files stay for [`BuildOptions::resume`].
 pub fn build(
     source: &mut dyn DemSource,
     folder: &Path,
@@ -95,7 +129,7 @@ pub fn build(
         height_range: None,
         georef: georef_of(&info, quantum_m),
         storage_error_m: 0.0,
-        codec: 0,
+        codec: options.codec as u8,
         pages: 0,
         segments: Vec::new(),
         index: FileCheck {
@@ -110,16 +144,28 @@ pub fn build(
         tolerances: Vec::new(),
     };
     manifest.check().map_err(unfit)?;
-    let mut writer = DatasetWriter::create(folder, options.overwrite)?;
-    let stored = write_pages(source, &manifest, &mut writer, progress)?;
+    let mut writer = match options.resume {
+        true => DatasetWriter::reopen(folder, options.overwrite)?,
+        false => DatasetWriter::create(folder, options.overwrite)?,
+    };
+    let size = [info.width, info.height];
+    let finest = Level::new(grid, grid.finest_page_level(), size, options.codec);
+    let mut checkpoints = Checkpoints::open(&mut writer, &manifest, &options, finest)?;
+    let mut rows = SourceRows::new(source, quantum_m);
+    let written = write_pages(finest, &mut rows, &mut writer, &mut checkpoints, progress);
+    if let Err(BuildError::Unfit { .. } | BuildError::Page(_)) = &written {
+        // The same input will not do better next time.
+        writer.keep_unfinished(false);
+    }
+    written?;
+    let stored = checkpoints.stored();
     if stored.valid_samples == 0 {
+        writer.keep_unfinished(false);
         return Err(unfit("no sample has data: every one is a hole".into()));
     }
     manifest.filled = match source.fills() {
-        Some(fills) if fills.samples > 0 => {
-            Some(writer.write_filled(&grid_runs(fills, info.height))?)
-        }
-        _ => None,
+        Some(fills) => writer.write_filled(&grid_runs(fills, info.height))?,
+        None => None,
     };
     manifest.valid_samples = stored.valid_samples;
     manifest.height_range = stored.range;
@@ -140,19 +186,61 @@ fn grid_runs(fills: &Fills, height: u32) -> FilledRuns {
 
 /// Makes the pages of all levels, finest first.
 fn write_pages(
-    source: &mut dyn DemSource,
-    manifest: &Manifest,
+    finest: Level,
+    rows: &mut SourceRows<'_>,
     writer: &mut DatasetWriter,
+    checkpoints: &mut Checkpoints,
     progress: Progress<'_>,
-) -> Result<Stored, BuildError> {
-    let (grid, [width, height]) = (manifest.grid_levels, manifest.samples);
-    let mut rows = SourceRows::new(source, manifest.georef.quantum_m);
-    let mut level = Level::new(grid, grid.finest_page_level(), width, height);
-    let mut left = level.run(&mut rows, writer, progress)?;
-    let stored = rows.summary();
-    while let Some(above) = level.above(&left) {
+) -> Result<(), BuildError> {
+    let mut level = finest;
+    let mut left = level.run(rows, None, writer, checkpoints, progress)?;
+    while let Some(above) = level.above() {
         level = above;
-        left = level.run(&mut MemoryRows::new(left), writer, &|_, _| {})?;
+        let slots = Some(&left.slots);
+        left = level.run(
+            &mut MemoryRows::new(&left),
+            slots,
+            writer,
+            checkpoints,
+            &|_, _| {},
+        )?;
     }
-    Ok(stored)
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::synth::SynthSource;
+    use std::collections::BTreeMap;
+    use std::fs;
+
+    /// All files of a dataset of synthetic terrain, made by so many threads.
+    fn made_by(jobs: usize) -> BTreeMap<String, Vec<u8>> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("made.escarp");
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(jobs);
+        let mut source = SynthSource::new(900, 3);
+        let built = pool.build().unwrap().install(|| {
+            let options = BuildOptions::default();
+            build(&mut source, &path, Vec::new(), options, &|_, _| {})
+        });
+        assert_eq!(built.unwrap().valid_samples, 810_000);
+        let files = fs::read_dir(&path).unwrap().map(|file| file.unwrap());
+        files
+            .map(|file| {
+                let name = file.file_name().into_string().unwrap();
+                (name, fs::read(file.path()).unwrap())
+            })
+            .collect()
+    }
+
+    #[test]
+    fn the_bytes_are_the_same_whatever_the_number_of_threads() {
+        let one = made_by(1);
+        assert!(one["seg-1-0"].len() > 100_000);
+        for jobs in [2, 3, 7] {
+            assert!(made_by(jobs) == one, "{jobs} threads make other bytes");
+        }
+    }
 }

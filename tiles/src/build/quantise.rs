@@ -5,7 +5,7 @@ use crate::dem::DemSource;
 use escarp_proto::page::MAX_HEIGHT;
 
 /// Stands for a hole among integer heights.
-pub(super) const HOLE: i32 = i32::MIN;
+pub(crate) const HOLE: i32 = i32::MIN;
 
 /// Metres a unit of stored height.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -1,15 +1,17 @@
 //! `escarp-tiles build`.
 
 use super::progress::Progress;
+use super::resume::{announce, identity, kept};
 use super::source::SourceArgs;
-use crate::build::{BuildOptions, Quantum, build};
-use crate::dataset::Dataset;
-use crate::dem::{Fills, OverlapReport};
+use crate::build::{BuildOptions, CHECKPOINT_SAMPLES, Quantum, build};
+use crate::dataset::{Dataset, Figures};
+use crate::dem::{Fills, OverlapReport, expand};
 use crate::process;
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, anyhow};
 use clap::Args;
+use escarp_proto::page::Codec;
 use serde_json::json;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
 
@@ -18,10 +20,14 @@ const MOST_SOURCES: usize = 256;
 
 #[derive(Debug, Args)]
 pub(super) struct BuildArgs {
-    /// DEM files: GeoTIFF, SRTM .hgt and .hgt.zip, 8 and 16 bit greyscale PNG. Where several overlap, the one
-    /// named first counts
-    #[arg(required = true, value_name = "INPUT")]
+    /// DEM files of any format that docs/tiles.md lists, told by content, gzip and zip around them;
+    /// folders of them; folders of tiles {z}/{x}/{y}.png; `synth:size=N,seed=N,spacing=M`, the
+    /// synthetic DEM of N x N samples
+    #[arg(required_unless_present = "more_inputs", value_name = "INPUT")]
     inputs: Vec<PathBuf>,
+    /// One more input
+    #[arg(long = "input", id = "more_inputs", value_name = "INPUT")]
+    more_inputs: Vec<PathBuf>,
     /// Dataset to make
     #[arg(short, long, value_name = "NAME.escarp")]
     output: PathBuf,
@@ -39,9 +45,22 @@ pub(super) struct BuildArgs {
     /// Threads; default: one a core
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u16).range(..=1024))]
     jobs: u16,
+    /// How records are coded: 1 is small, 0 is simple, and for comparison
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(0..=1))]
+    codec: u8,
     /// Replace a dataset of this name
     #[arg(long)]
     overwrite: bool,
+    /// Go on with a build of the same inputs and options that was stopped on its way
+    #[arg(long)]
+    resume: bool,
+    /// With --resume: go on although inputs changed, as when a bad block was repaired; what was
+    /// read of them before must be the same
+    #[arg(long, requires = "resume")]
+    accept_changed: bool,
+    /// Samples between two checkpoints, from which --resume can go on
+    #[arg(long, value_name = "N", default_value_t = CHECKPOINT_SAMPLES)]
+    checkpoint: u64,
     /// Print the summary as JSON
     #[arg(long)]
     json: bool,
@@ -55,7 +74,8 @@ pub(super) fn run(args: &BuildArgs) -> Result<ExitCode> {
         .num_threads(usize::from(args.jobs))
         .build_global()
         .context("cannot start the threads")?;
-    let mut source = args.source.open(&args.inputs)?;
+    let inputs = [&args.inputs[..], &args.more_inputs].concat();
+    let mut source = args.source.open(&inputs)?;
     let name = |path: &PathBuf| {
         path.file_name()
             .unwrap_or_default()
@@ -68,12 +88,18 @@ pub(super) fn run(args: &BuildArgs) -> Result<ExitCode> {
             (None, true) => Quantum::Lossless,
             (None, false) => Quantum::Natural,
         },
+        codec: Codec::from_u8(args.codec).unwrap_or(Codec::Dense),
         overwrite: args.overwrite,
+        resume: args.resume,
+        identity: identity(&expand(&inputs)?, &args.source),
+        accept_changed: args.accept_changed,
+        checkpoint_samples: args.checkpoint,
     };
+    announce(&args.output, args.resume);
     let progress = Progress::new("building", args.json);
-    let mut sources: Vec<String> = args.inputs.iter().map(name).take(MOST_SOURCES).collect();
-    if args.inputs.len() > MOST_SOURCES {
-        sources.push(format!("and {} more", args.inputs.len() - MOST_SOURCES));
+    let mut sources: Vec<String> = inputs.iter().map(name).take(MOST_SOURCES).collect();
+    if inputs.len() > MOST_SOURCES {
+        sources.push(format!("and {} more", inputs.len() - MOST_SOURCES));
     }
     let manifest = build(
         &mut *source,
@@ -83,13 +109,27 @@ pub(super) fn run(args: &BuildArgs) -> Result<ExitCode> {
         &|done, total| {
             progress.at(done, total);
         },
-    )?;
+    );
     progress.end();
+    let manifest = manifest.map_err(|error| with_note(error.into(), &args.output))?;
     let overlaps = source.overlaps();
     let fills = source.fills().cloned();
-    let bytes = Dataset::open(&args.output)?.total_bytes();
+    let dataset = Dataset::open(&args.output)?;
+    let bytes = dataset.total_bytes();
     let samples = u64::from(manifest.samples[0]) * u64::from(manifest.samples[1]);
-    let (wall_s, usage) = (started.elapsed().as_secs_f64(), process::usage());
+    let wall_s = started.elapsed().as_secs_f64();
+    let usage = process::usage();
+    let figures = usage.map(|usage| Figures {
+        wall_s,
+        cpu_s: usage.cpu_s,
+        peak_memory_bytes: usage.peak_memory_bytes,
+        jobs: rayon::current_num_threads(),
+        // The CPU time of the runs before is not known.
+        samples_a_cpu_s: (!args.resume).then(|| samples as f64 / usage.cpu_s.max(1e-2)),
+    });
+    if let Some(figures) = figures {
+        figures.keep(&dataset)?;
+    }
     if args.json {
         let summary = json!({
             "samples": samples, "valid_samples": manifest.valid_samples, "pages": manifest.pages,
@@ -143,16 +183,19 @@ pub(super) fn run(args: &BuildArgs) -> Result<ExitCode> {
     if let Some(overlaps) = overlaps {
         print_overlaps(&overlaps);
     }
-    match usage {
-        Some(usage) => println!(
-            "{wall_s:.1} s, {:.1} s CPU, {:.1} million samples a CPU second, peak memory {:.0} MB",
-            usage.cpu_s,
-            samples as f64 / 1e6 / usage.cpu_s.max(1e-3),
-            usage.peak_memory_bytes as f64 / 1e6
-        ),
+    match figures {
+        Some(figures) => println!("{figures}"),
         None => println!("{wall_s:.1} s"),
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// An error, and below it what the build left behind.
+fn with_note(error: anyhow::Error, folder: &Path) -> anyhow::Error {
+    match kept(folder) {
+        Some(note) => anyhow!("{error:#}\n{note}"),
+        None => error,
+    }
 }
 
 /// To a millionth, for people.

@@ -1,7 +1,9 @@
 //! `escarp-tiles info`.
 
+use super::survey::{on_disk, print_disk, print_survey};
 use crate::crs::{extent, title};
-use crate::dataset::Dataset;
+use crate::dataset::{Dataset, Figures};
+use crate::verify::survey;
 use anyhow::Result;
 use clap::Args;
 use escarp_proto::georef::Plane;
@@ -14,6 +16,9 @@ pub(super) struct InfoArgs {
     /// The dataset
     #[arg(value_name = "NAME.escarp")]
     dataset: PathBuf,
+    /// Leave out what takes reading all records: bits by part, errors
+    #[arg(long)]
+    brief: bool,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -27,10 +32,18 @@ pub(super) fn run(args: &InfoArgs) -> Result<ExitCode> {
     let samples = u64::from(width) * u64::from(height);
     let bits = bytes as f64 * 8.0 / samples as f64;
     let extent = manifest.extent_m();
+    let coverage = manifest.valid_samples as f64 / samples as f64;
+    let on_disk = on_disk(&dataset)?;
+    let survey = match args.brief {
+        true => None,
+        false => Some(survey(&dataset)?),
+    };
     if args.json {
         let info = json!({
             "name": dataset.name(), "bytes": bytes, "bits_a_sample": bits,
             "extent_m": extent, "extent_degrees": extent::of(manifest), "manifest": manifest,
+            "coverage": coverage, "survey": survey, "disk": on_disk.json(),
+            "build": Figures::of(&dataset),
         });
         println!("{info:#}");
         return Ok(ExitCode::SUCCESS);
@@ -42,8 +55,9 @@ pub(super) fn run(args: &InfoArgs) -> Result<ExitCode> {
         manifest.generation
     );
     println!(
-        "samples     {width} x {height}, {} with data",
-        manifest.valid_samples
+        "samples     {width} x {height}, {} with data ({:.2} %)",
+        manifest.valid_samples,
+        100.0 * coverage
     );
     if let Some(filled) = &manifest.filled {
         let share = 100.0 * filled.samples as f64 / manifest.valid_samples as f64;
@@ -75,6 +89,13 @@ pub(super) fn run(args: &InfoArgs) -> Result<ExitCode> {
         manifest.segments.len()
     );
     println!("sources     {}", manifest.sources.join(", "));
+    if let Some(figures) = Figures::of(&dataset) {
+        println!("build       {figures}");
+    }
+    if let Some(survey) = &survey {
+        print_survey(&dataset, survey);
+    }
+    print_disk(&on_disk);
     Ok(ExitCode::SUCCESS)
 }
 

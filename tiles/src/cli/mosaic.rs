@@ -57,6 +57,11 @@ fn seam(text: &str) -> Result<Seam, String> {
 }
 
 impl MosaicArgs {
+    /// Whether of overlapping inputs the one named last counts.
+    pub(super) fn is_last_first(&self) -> bool {
+        matches!(self.priority, PriorityArg::Last)
+    }
+
     /// One source of all inputs.
     pub(super) fn join(
         &self,

@@ -3,7 +3,7 @@
 use super::grid::GridArgs;
 use super::input::InputArgs;
 use super::mosaic::MosaicArgs;
-use crate::dem::{DemSource, expand};
+use crate::dem::DemSource;
 use anyhow::Result;
 use clap::Args;
 use escarp_proto::georef::{Georef, Plane};
@@ -21,6 +21,11 @@ pub(super) struct SourceArgs {
 }
 
 impl SourceArgs {
+    /// Whether of overlapping inputs the one named last counts.
+    pub(super) fn is_last_first(&self) -> bool {
+        self.mosaic.is_last_first()
+    }
+
     /// Opens the inputs, joins them, brings them to the dataset's grid, and fills voids.
     pub(super) fn open(&self, inputs: &[PathBuf]) -> Result<Box<dyn DemSource>> {
         self.open_spaced(inputs, None)
@@ -42,10 +47,9 @@ impl SourceArgs {
         inputs: &[PathBuf],
         known_spacing_m: Option<f64>,
     ) -> Result<Box<dyn DemSource>> {
-        let inputs = expand(inputs)?;
         let mut options = self.input.options();
         options.spacing_m = options.spacing_m.or(known_spacing_m);
-        let joined = self.mosaic.join(&inputs, &options)?;
+        let joined = self.mosaic.join(inputs, &options)?;
         // Without georeference the reader has already laid its samples so far apart.
         let placed = self.grid.place(joined, options.spacing_m)?;
         self.mosaic.fill(placed)

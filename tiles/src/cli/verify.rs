@@ -40,7 +40,7 @@ pub(super) fn run(args: &VerifyArgs) -> Result<ExitCode> {
         true => Share::Full,
         false => Share::PagesALevel(args.pages, args.seed),
     };
-    let progress = Progress::new("checking bounds", args.json);
+    let progress = Progress::new("checking", args.json);
     let report = verify(&dataset, share, &|done, total| progress.at(done, total))?;
     progress.end();
     let against = match args.against.is_empty() {
@@ -78,6 +78,10 @@ fn against(args: &VerifyArgs, dataset: &Dataset) -> Result<Against> {
 
 fn print(report: &VerifyReport, against: Option<Against>, allowed_m: f64) {
     println!("checksums   {} records, all match", report.records);
+    println!(
+        "borders     {} comparisons of a sample that two pages share",
+        report.shared
+    );
     let levels: Vec<String> = report
         .pages_a_level
         .iter()

@@ -108,6 +108,21 @@ impl Current {
         Ok(json)
     }
 
+    /// Path and bytes of the manifest of a generation that is published no more.
+    pub(super) fn read_old_manifest(
+        folder: &Path,
+        generation: u64,
+    ) -> Result<(PathBuf, Vec<u8>), DatasetError> {
+        let path = folder.join(format!("manifest-{generation}.json"));
+        let found = fs::metadata(&path).map_err(DatasetError::io(&path, "read length"))?;
+        if !found.is_file() || found.len() > MAX_MANIFEST_BYTES as u64 {
+            let why = format!("no file of at most {MAX_MANIFEST_BYTES} bytes");
+            return Err(DatasetError::damaged(&path, why));
+        }
+        let json = fs::read(&path).map_err(DatasetError::io(&path, "read"))?;
+        Ok((path, json))
+    }
+
     /// Publishes: replaces `CURRENT` and syncs the folder. All that it names must be synced before.
     pub(super) fn publish(&self, folder: &Path) -> Result<(), DatasetError> {
         let path = current_path(folder);
@@ -145,7 +160,8 @@ pub(super) fn sync_folder(folder: &Path) -> Result<(), DatasetError> {
 
 fn not_a_dataset(folder: &Path) -> DatasetError {
     let why = if folder.is_dir() {
-        "no finished dataset: there is no CURRENT in it, so its build did not end; build it again"
+        "no finished dataset: there is no CURRENT in it, so its build did not end; go on with \
+         build --resume, or build it again"
     } else if folder.exists() {
         "not a dataset: a dataset is a folder; make one with escarp-tiles build"
     } else {

@@ -103,15 +103,30 @@ impl Index {
     }
 }
 
+impl IndexEntry {
+    /// Reads an entry as the index has it; `None` if the bytes end, or no family has the id.
+    pub(crate) fn read(reader: &mut Reader<'_>) -> Option<IndexEntry> {
+        Some(IndexEntry {
+            family: FamilyId::from_u64(reader.u64()?)?,
+            offset: reader.u64()?,
+            bytes: reader.u32()?,
+            segment: reader.u32()?,
+            table_crc32c: reader.u32()?,
+        })
+    }
+
+    /// Appends the entry as the index has it.
+    pub(crate) fn put(&self, out: &mut Vec<u8>) {
+        out.extend(self.family.to_u64().to_le_bytes());
+        out.extend(self.offset.to_le_bytes());
+        out.extend(self.bytes.to_le_bytes());
+        out.extend(self.segment.to_le_bytes());
+        out.extend(self.table_crc32c.to_le_bytes());
+    }
+}
+
 fn parse(raw: &[u8]) -> Option<IndexEntry> {
-    let mut reader = Reader::new(raw);
-    Some(IndexEntry {
-        family: FamilyId::from_u64(reader.u64()?)?,
-        offset: reader.u64()?,
-        bytes: reader.u32()?,
-        segment: reader.u32()?,
-        table_crc32c: reader.u32()?,
-    })
+    IndexEntry::read(&mut Reader::new(raw))
 }
 
 /// Writes and syncs the index of a generation. Sorts the entries.
@@ -126,11 +141,7 @@ pub(super) fn write_index(
     bytes.extend(generation.to_le_bytes());
     bytes.extend((entries.len() as u64).to_le_bytes());
     for entry in entries.iter() {
-        bytes.extend(entry.family.to_u64().to_le_bytes());
-        bytes.extend(entry.offset.to_le_bytes());
-        bytes.extend(entry.bytes.to_le_bytes());
-        bytes.extend(entry.segment.to_le_bytes());
-        bytes.extend(entry.table_crc32c.to_le_bytes());
+        entry.put(&mut bytes);
     }
     let path = index_path(folder, generation);
     write_synced(&path, &bytes)?;

@@ -9,8 +9,11 @@
 mod current;
 mod error;
 mod family;
+mod figures;
+mod files;
 mod filled;
 mod index;
+mod journal;
 mod map;
 mod read;
 mod write;
@@ -18,8 +21,11 @@ mod write;
 pub use current::{Current, current_path};
 pub use error::DatasetError;
 pub use family::{FamilyId, FamilyTable, StoredRecord};
+pub use figures::Figures;
+pub use files::{Unfinished, disk_bytes, generations, unfinished};
 pub use filled::{FilledRun, FilledRuns};
 pub use index::IndexEntry;
+pub(crate) use journal::{Journal, MAX_ENTRY_BYTES};
 pub use read::PageReader;
 pub use write::{DatasetWriter, FamilyBytes, MAX_SEGMENT_BYTES};
 
@@ -50,8 +56,36 @@ impl Dataset {
     pub fn open(folder: &Path) -> Result<Dataset, DatasetError> {
         let current = Current::read(folder)?;
         let manifest_json = current.read_manifest(folder)?;
-        let manifest = Manifest::from_json(&manifest_json)
-            .map_err(|why| DatasetError::damaged(&current.manifest_path(folder), why))?;
+        Self::with_manifest(folder, &current.manifest_path(folder), manifest_json)
+    }
+
+    /// Opens a generation that was published before, and is still there. Its manifest's checksum
+    /// is known no more; all else is checked as ever.
+    ///
+    /// # Errors
+    /// As [`open`](Self::open); [`DatasetError::Usage`] if there is no such generation.
+    pub fn open_generation(folder: &Path, generation: u64) -> Result<Dataset, DatasetError> {
+        let published = Current::read(folder)?;
+        if generation == published.generation {
+            return Self::open(folder);
+        }
+        let there = generations(folder)?;
+        if generation > published.generation || !there.contains(&generation) {
+            let why = format!("no generation {generation}, there are {there:?}");
+            let path = folder.to_path_buf();
+            return Err(DatasetError::Usage { path, why });
+        }
+        let (path, json) = Current::read_old_manifest(folder, generation)?;
+        Self::with_manifest(folder, &path, json)
+    }
+
+    fn with_manifest(
+        folder: &Path,
+        path: &Path,
+        manifest_json: Vec<u8>,
+    ) -> Result<Dataset, DatasetError> {
+        let manifest =
+            Manifest::from_json(&manifest_json).map_err(|why| DatasetError::damaged(path, why))?;
         let index = Index::open(folder, &manifest)?;
         let segments = manifest
             .segments
@@ -133,15 +167,24 @@ impl Dataset {
         self.index.entries()
     }
 
+    /// Where a family lies; `None` if none of its pages has a record.
+    pub fn find(&self, family: FamilyId) -> Option<IndexEntry> {
+        self.index.find(family)
+    }
+
     /// The table of a family, checked.
     ///
     /// # Errors
     /// [`DatasetError::Damaged`] if it does not match its checksum.
     pub fn family(&self, entry: &IndexEntry) -> Result<FamilyTable<'_>, DatasetError> {
+        let path = self.segments[entry.segment as usize].path();
+        FamilyTable::read(entry, self.family_bytes(entry), path)
+    }
+
+    /// The bytes of a family, not checked.
+    pub(crate) fn family_bytes(&self, entry: &IndexEntry) -> &[u8] {
         let segment = &self.segments[entry.segment as usize];
-        let start = entry.offset as usize;
-        let bytes = &segment.bytes()[start..start + entry.bytes as usize];
-        FamilyTable::read(entry, bytes, segment.path())
+        &segment.bytes()[entry.offset as usize..][..entry.bytes as usize]
     }
 }
 

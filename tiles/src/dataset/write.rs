@@ -1,13 +1,16 @@
 //! Writing a generation: families go to segments as they come; publishing is the last step, so
 //! that a crash at any moment leaves what was published before.
 
-use super::current::{Current, sync_folder};
+mod go_on;
+mod publish;
+
 use super::family::encode_family;
-use super::index::{IndexEntry, write_index, write_synced};
-use super::{DatasetError, FamilyId, FilledRuns};
-use crate::checksum::crc32c;
+use super::files::{holds_only_ours, journal_path, newest_generation, published, remove_files};
+use super::index::IndexEntry;
+use super::{Dataset, DatasetError, FamilyId};
 use escarp_proto::geometry::Slot;
-use escarp_proto::manifest::{Filled, Manifest, Segment};
+use escarp_proto::manifest::Segment;
+use std::collections::HashSet;
 use std::fs::{self, File};
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
@@ -38,6 +41,22 @@ impl FamilyBytes {
             pages: records.len(),
         })
     }
+
+    /// A family of a dataset as it is, each record checked; and how many there are.
+    pub(crate) fn copy(
+        dataset: &Dataset,
+        entry: &IndexEntry,
+    ) -> Result<(FamilyBytes, usize), DatasetError> {
+        let table = dataset.family(entry)?;
+        table.records().try_for_each(|record| record.map(|_| ()))?;
+        let family = FamilyBytes {
+            family: entry.family,
+            bytes: dataset.family_bytes(entry).to_vec(),
+            table_crc32c: entry.table_crc32c,
+            pages: table.len(),
+        };
+        Ok((family, table.len()))
+    }
 }
 
 /// Writes a new generation of a dataset beside the published one.
@@ -46,22 +65,27 @@ pub struct DatasetWriter {
     folder: PathBuf,
     generation: u64,
     segments: Vec<Segment>,
+    /// Of the segments, how many are those of the generation before, which are never written to.
+    shared: usize,
     open: Option<BufWriter<File>>,
     index: Vec<IndexEntry>,
+    /// Families of the generation before that this one has no more, or has anew.
+    replaced: HashSet<FamilyId>,
     pages: u64,
-    published: bool,
+    /// What is written stays when the writer goes: it is published, or can be resumed.
+    keep: bool,
     /// Held until the writer goes.
     _lock: File,
 }
 
 impl Drop for DatasetWriter {
-    /// What was not published is of no use: a full disk gets its room back.
+    /// What can neither be read nor resumed is of no use: a full disk gets its room back.
     fn drop(&mut self) {
-        if !self.published {
+        if !self.keep {
             self.open = None;
             let own = self.generation;
             // There is nobody to tell, and the next writer tries again.
-            let _ = remove_generations(&self.folder, |generation| generation == own);
+            let _ = remove_files(&self.folder, |_, generation| generation == own);
         }
     }
 }
@@ -73,6 +97,50 @@ impl DatasetWriter {
     /// [`DatasetError::Usage`] if a dataset is published there and `overwrite` is not set, or if
     /// another program writes there; [`DatasetError::Io`] if the system refuses.
     pub fn create(folder: &Path, overwrite: bool) -> Result<DatasetWriter, DatasetError> {
+        let mut writer = Self::lock(folder, overwrite)?;
+        writer.start_anew()?;
+        Ok(writer)
+    }
+
+    /// As [`create`](Self::create), but what an unfinished writer left behind stays for
+    /// [`go_on`](Self::go_on), until [`start_anew`](Self::start_anew).
+    pub(crate) fn reopen(folder: &Path, overwrite: bool) -> Result<DatasetWriter, DatasetError> {
+        Self::lock(folder, overwrite)
+    }
+
+    /// Starts a generation that has all families of the published one, until they are replaced.
+    ///
+    /// # Errors
+    /// [`DatasetError::Usage`] if another program writes there, if an unfinished build lies there,
+    /// or if the dataset is no more the published one; [`DatasetError::Io`].
+    pub(crate) fn extend(base: &Dataset) -> Result<DatasetWriter, DatasetError> {
+        let folder = base.folder();
+        let mut writer = Self::lock(folder, true)?;
+        let usage = |why: String| {
+            Err(DatasetError::Usage {
+                path: folder.to_path_buf(),
+                why,
+            })
+        };
+        if journal_path(folder, writer.generation).exists() {
+            return usage(
+                "an unfinished build lies there: finish it with build --resume, or remove its \
+                 file resume-*"
+                    .into(),
+            );
+        }
+        if base.manifest().generation + 1 != writer.generation {
+            return usage("another program published meanwhile; start again".into());
+        }
+        writer.start_anew()?;
+        writer.segments = base.manifest().segments.clone();
+        writer.shared = writer.segments.len();
+        writer.index = base.families().collect();
+        writer.pages = base.manifest().pages;
+        Ok(writer)
+    }
+
+    fn lock(folder: &Path, overwrite: bool) -> Result<DatasetWriter, DatasetError> {
         let usage = |why: &str| DatasetError::Usage {
             path: folder.to_path_buf(),
             why: why.into(),
@@ -85,26 +153,46 @@ impl DatasetWriter {
         let lock = File::create(&path).map_err(DatasetError::io(&path, "create"))?;
         lock.try_lock()
             .map_err(|_| usage("another program is writing this dataset"))?;
-        let published = match Current::read(folder) {
-            Ok(_) if !overwrite => {
+        let published = match published(folder) {
+            Ok(1..) if !overwrite => {
                 return Err(usage("exists already; give --overwrite to replace it"));
             }
-            Ok(current) => current.generation,
-            Err(DatasetError::NotADataset { .. }) => 0,
+            Ok(generation) => generation,
             Err(_) if overwrite => newest_generation(folder)?,
             Err(error) => return Err(error),
         };
-        remove_generations(folder, |generation| generation != published)?;
         Ok(DatasetWriter {
             folder: folder.to_path_buf(),
             generation: published + 1,
             segments: Vec::new(),
+            shared: 0,
             open: None,
             index: Vec::new(),
+            replaced: HashSet::new(),
             pages: 0,
-            published: false,
+            keep: true,
             _lock: lock,
         })
+    }
+
+    /// Removes what unfinished writers left behind. Nothing published is touched: the published
+    /// generation may share segments with those before it.
+    pub(crate) fn start_anew(&mut self) -> Result<(), DatasetError> {
+        self.keep = false;
+        let own = self.generation;
+        remove_files(&self.folder, |name, generation| {
+            generation >= own || name.starts_with("resume-")
+        })
+    }
+
+    /// From now on, what is written stays when the writer goes, for [`go_on`](Self::go_on).
+    pub(crate) fn keep_unfinished(&mut self, keep: bool) {
+        self.keep = keep;
+    }
+
+    /// Where a journal of this writer belongs.
+    pub(crate) fn journal_path(&self) -> PathBuf {
+        journal_path(&self.folder, self.generation)
     }
 
     /// The generation that is being written.
@@ -112,24 +200,47 @@ impl DatasetWriter {
         self.generation
     }
 
-    /// Pages written so far.
+    /// Pages written so far, and shared ones.
     pub const fn pages(&self) -> u64 {
         self.pages
     }
 
     /// Bytes of records written so far.
     pub fn bytes(&self) -> u64 {
-        self.segments.iter().map(|segment| segment.bytes).sum()
+        let own = &self.segments[self.shared..];
+        own.iter().map(|segment| segment.bytes).sum()
     }
 
-    /// Appends a family.
+    /// Families written so far, in order.
+    pub(crate) fn written(&self) -> &[IndexEntry] {
+        &self.index
+    }
+
+    /// Makes durable what was written so far.
+    pub(crate) fn sync(&mut self) -> Result<(), DatasetError> {
+        let Some(open) = &mut self.open else {
+            return Ok(());
+        };
+        let synced = open.flush().and_then(|()| open.get_ref().sync_data());
+        let name = self.segments.last().map_or("", |segment| &segment.file);
+        synced.map_err(DatasetError::io(&self.folder.join(name), "write"))
+    }
+
+    /// Leaves out a family of the generation before, which had so many pages.
+    pub(crate) fn replace(&mut self, family: FamilyId, pages: usize) {
+        if self.replaced.insert(family) {
+            self.pages -= pages as u64;
+        }
+    }
+
+    /// Appends a family. One of the generation before must have been [replaced](Self::replace).
     ///
     /// # Errors
     /// [`DatasetError::Io`] if the system refuses, as on a full disk.
     pub fn append(&mut self, family: &FamilyBytes) -> Result<(), DatasetError> {
         let length = family.bytes.len() as u64;
         let full = |segment: &Segment| segment.bytes + length > MAX_SEGMENT_BYTES;
-        if self.segments.last().is_none_or(full) {
+        if self.open.is_none() || self.segments.last().is_none_or(full) {
             self.next_segment()?;
         }
         let number = self.segments.len() - 1;
@@ -151,13 +262,22 @@ impl DatasetWriter {
         Ok(())
     }
 
+    /// The next segment, empty.
+    fn named(&self) -> Segment {
+        let number = self.segments.len() - self.shared;
+        Segment {
+            file: format!("seg-{}-{number}", self.generation),
+            bytes: 0,
+        }
+    }
+
     fn next_segment(&mut self) -> Result<(), DatasetError> {
         self.close_segment()?;
-        let file = format!("seg-{}-{}", self.generation, self.segments.len());
-        let path = self.folder.join(&file);
+        let segment = self.named();
+        let path = self.folder.join(&segment.file);
         let created = File::create(&path).map_err(DatasetError::io(&path, "create"))?;
         self.open = Some(BufWriter::with_capacity(1 << 20, created));
-        self.segments.push(Segment { file, bytes: 0 });
+        self.segments.push(segment);
         Ok(())
     }
 
@@ -172,85 +292,4 @@ impl DatasetWriter {
             .and_then(|file| file.sync_all())
             .map_err(DatasetError::io(&path, "write"))
     }
-
-    /// Writes which samples are fill, and gives what the manifest is to say of it.
-    ///
-    /// # Errors
-    /// [`DatasetError::Io`] if the system refuses.
-    pub fn write_filled(&self, filled: &FilledRuns) -> Result<Filled, DatasetError> {
-        filled.write(&self.folder, self.generation)
-    }
-
-    /// Publishes. The writer fills in generation, pages, segments and index of the manifest, and
-    /// removes the generation before.
-    ///
-    /// # Errors
-    /// [`DatasetError::Io`] if the system refuses; what was published before then stays.
-    pub fn publish(mut self, mut manifest: Manifest) -> Result<Manifest, DatasetError> {
-        self.close_segment()?;
-        manifest.generation = self.generation;
-        manifest.pages = self.pages;
-        manifest.index = write_index(&self.folder, self.generation, &mut self.index)?;
-        manifest.segments = std::mem::take(&mut self.segments);
-        let json = manifest.to_json();
-        let current = Current {
-            generation: self.generation,
-            manifest_bytes: json.len() as u64,
-            manifest_crc32c: crc32c(&json),
-        };
-        write_synced(&current.manifest_path(&self.folder), &json)?;
-        sync_folder(&self.folder)?;
-        // From here on CURRENT may name this generation, whatever fails.
-        self.published = true;
-        current.publish(&self.folder)?;
-        remove_generations(&self.folder, |generation| generation != self.generation)?;
-        Ok(manifest)
-    }
-}
-
-/// The generation in the name of one of a dataset's files.
-fn generation_of(name: &str) -> Option<u64> {
-    let rest = ["manifest-", "index-", "seg-", "filled-"]
-        .iter()
-        .find_map(|prefix| name.strip_prefix(prefix))?;
-    let digits = rest.split(['-', '.']).next()?;
-    digits.parse().ok()
-}
-
-fn names(folder: &Path) -> Result<Vec<String>, DatasetError> {
-    let entries = fs::read_dir(folder).map_err(DatasetError::io(folder, "list"))?;
-    let names = entries.map(|entry| entry.map(|e| e.file_name().to_string_lossy().into_owned()));
-    names
-        .collect::<Result<_, _>>()
-        .map_err(DatasetError::io(folder, "list"))
-}
-
-fn newest_generation(folder: &Path) -> Result<u64, DatasetError> {
-    let names = names(folder)?;
-    Ok(names
-        .iter()
-        .filter_map(|name| generation_of(name))
-        .max()
-        .unwrap_or(0))
-}
-
-/// Whether a folder can be taken for a dataset: nothing of anyone else's is ever written over.
-fn holds_only_ours(folder: &Path) -> Result<bool, DatasetError> {
-    let ours = |name: &String| {
-        name == "CURRENT"
-            || name == "LOCK"
-            || name.starts_with(".tmp")
-            || generation_of(name).is_some()
-    };
-    Ok(names(folder)?.iter().all(ours))
-}
-
-fn remove_generations(folder: &Path, which: impl Fn(u64) -> bool) -> Result<(), DatasetError> {
-    for name in names(folder)? {
-        if name.starts_with(".tmp") || generation_of(&name).is_some_and(&which) {
-            let path = folder.join(name);
-            fs::remove_file(&path).map_err(DatasetError::io(&path, "remove"))?;
-        }
-    }
-    Ok(())
 }

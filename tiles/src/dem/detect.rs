@@ -14,7 +14,7 @@ pub(super) const HEAD_BYTES: u64 = 4096;
 pub(super) struct Head {
     /// At most [`HEAD_BYTES`].
     pub bytes: Vec<u8>,
-    /// Of the whole file, in bytes.
+    /// Of the whole file, in bytes; `u64::MAX` where it is not known.
     pub length: u64,
 }
 
@@ -224,11 +224,11 @@ pub(super) fn unknown(path: &Path, head: &Head) -> DemError {
     let shown = &head.bytes[..head.bytes.len().min(16)];
     let text = head.bytes.iter().filter(|b| b.is_ascii_graphic()).count() * 2 > head.bytes.len();
     let what = if text { "text" } else { "binary" };
-    let found = format!(
-        "{what} of {} bytes that starts with \"{}\"",
-        head.length,
-        shown.escape_ascii()
-    );
+    let size = match head.length {
+        u64::MAX => String::new(),
+        length => format!(" of {length} bytes"),
+    };
+    let found = format!("{what}{size} that starts with \"{}\"", shown.escape_ascii());
     DemError::not_a_dem(path, found)
 }
 

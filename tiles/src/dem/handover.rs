@@ -30,10 +30,19 @@ const OPTIONS: [&str; 11] = [
 /// Whether GDAL may read what was refused.
 pub(super) fn helps(error: &DemError) -> bool {
     match error {
-        DemError::Unsupported { what, .. } => [COMPRESSION, SAMPLE_FORMAT]
-            .iter()
-            .any(|sign| what.starts_with(sign)),
+        DemError::Unsupported { what, .. } => {
+            what.starts_with(COMPRESSION) || wider_type(what).is_some()
+        }
         _ => false,
+    }
+}
+
+/// GDAL's type that holds samples of odd bits: whole numbers (formats 1 and 2), floats (3).
+fn wider_type(refusal: &str) -> Option<&'static str> {
+    match refusal.strip_prefix(SAMPLE_FORMAT)?.trim_start().get(..2)? {
+        "1 " | "2 " => Some("Int32"),
+        "3 " => Some("Float32"),
+        _ => None,
     }
 }
 
@@ -60,8 +69,13 @@ fn open_with(
     let whole = path
         .canonicalize()
         .map_err(|e| DemError::io(path, "find", e))?;
+    let DemError::Unsupported { what, hint, .. } = &refusal else {
+        return Err(refusal);
+    };
+    let wider = wider_type(what).map(|name| ["-ot", name]);
     let ran = Command::new(program)
         .args(OPTIONS)
+        .args(wider.into_iter().flatten())
         .arg(whole)
         .arg(spool.file())
         .stdin(Stdio::null())
@@ -72,14 +86,11 @@ fn open_with(
         Err(error) => return Err(DemError::io(path, "run gdal_translate on it", error)),
         Ok(output) => output,
     };
-    let DemError::Unsupported { what, hint, .. } = refusal else {
-        return Err(refusal);
-    };
     if !output.status.success() {
         let words = String::from_utf8_lossy(&output.stderr);
         let words: String = words.trim().chars().take(300).collect();
         let what = format!("{what}, which {program} failed to convert ({words}),");
-        return Err(DemError::unsupported(path, what, hint));
+        return Err(DemError::unsupported(path, what, hint.as_str()));
     }
     super::note(
         path,

@@ -18,14 +18,19 @@ use super::{
     DemError, DemSource, JoinOptions, OpenOptions, Placement, envi, esri_header, folder, handover,
     unpack,
 };
+use crate::synth::SynthSource;
 
-/// Opens one DEM: a file, or a folder of tiles `{z}/{x}/{y}.png`. Only its header is read, and
+/// Opens one DEM: a file, a folder of tiles `{z}/{x}/{y}.png`, or `synth:size=...` (see
+/// [`SynthSource::parse`]). Only its header is read, and
 /// what is packed is unpacked; samples are decoded when rows are asked for.
 ///
 /// # Errors
 /// [`DemError`], sorted by who must act.
 pub fn open(path: &Path, options: &OpenOptions) -> Result<Box<dyn DemSource>, DemError> {
-    open_nested(path, options, 0)
+    match SynthSource::parse(path) {
+        Some(synth) => Ok(Box::new(synth?)),
+        None => open_nested(path, options, 0),
+    }
 }
 
 /// [`open`], for a file that came out of `depth` packed ones.

@@ -1,7 +1,8 @@
 //! A folder of tiles `{z}/{x}/{y}.png` as one source: one zoom of it, with holes where tiles are
 //! missing. A row of tiles is decoded at a time.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
@@ -114,6 +115,15 @@ impl Pyramid {
         }
     }
 
+    /// First row of tiles that a band meets, and the one after the last.
+    fn tile_rows(&self, first_row: u32, rows: u32) -> [u32; 2] {
+        let end = (first_row + rows).div_ceil(self.tile_px);
+        [
+            self.first[0] + first_row / self.tile_px,
+            self.first[0] + end,
+        ]
+    }
+
     fn decode(&self, at: &[u32; 2]) -> Result<Numbers, DemError> {
         let path = &self.tiles[at];
         let found = rgb::side_px(path)?;
@@ -135,8 +145,7 @@ impl DemSource for Pyramid {
         self.info.check_band(first_row, rows, out)?;
         out.fill(f64::NAN);
         let band = (first_row, first_row + rows);
-        let top = self.first[0] + first_row / self.tile_px;
-        let bottom = self.first[0] + band.1.div_ceil(self.tile_px);
+        let [top, bottom] = self.tile_rows(first_row, rows);
         let wanted: Vec<[u32; 2]> = self
             .tiles
             .range([top, 0]..[bottom, 0])
@@ -161,6 +170,21 @@ impl DemSource for Pyramid {
             }
         }
         heights::check(&self.info, first_row, out)
+    }
+
+    fn data_columns(&self, first_row: u32, rows: u32) -> Vec<Range<u32>> {
+        let [top, bottom] = self.tile_rows(first_row, rows);
+        let tiles = self.tiles.range([top, 0]..[bottom, 0]);
+        let columns: BTreeSet<u32> = tiles.map(|(at, _)| at[1] - self.first[1]).collect();
+        let mut spans: Vec<Range<u32>> = Vec::new();
+        for column in columns {
+            let span = column * self.tile_px..(column + 1) * self.tile_px;
+            match spans.last_mut() {
+                Some(last) if last.end == span.start => last.end = span.end,
+                _ => spans.push(span),
+            }
+        }
+        spans
     }
 }
 

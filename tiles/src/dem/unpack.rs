@@ -11,7 +11,8 @@ use tempfile::TempDir;
 use zip::ZipArchive;
 use zip::result::ZipError;
 
-use super::detect::{HEAD_BYTES, Head, Kind, kind_of};
+use super::detect::{self, HEAD_BYTES, Head, Kind, kind_of};
+use super::esri_header::header_of;
 use super::hgt::Hgt;
 use super::open::open_nested;
 use super::side::{self, MAX_SIDE_BYTES, SIDE_EXTENSIONS};
@@ -187,6 +188,10 @@ impl DemSource for Unpacked {
         read.map_err(|error| self.spool.rename(error))
     }
 
+    fn data_columns(&self, first_row: u32, rows: u32) -> Vec<Range<u32>> {
+        self.inner.data_columns(first_row, rows)
+    }
+
     fn read_window(
         &mut self,
         rows: Range<u32>,
@@ -212,6 +217,9 @@ pub(super) fn open_gzip(
     depth: u32,
 ) -> Result<Box<dyn DemSource>, DemError> {
     check_depth(path, depth)?;
+    if options.raw.is_none() {
+        refuse_unknown(path)?;
+    }
     let spool = gunzip(path)?;
     spool.take_side_files()?;
     spool.open(|file| open_nested(file, options, depth + 1))
@@ -232,12 +240,41 @@ pub(super) fn with_plain<T>(
     call(&spool.file()).map_err(|error| spool.rename(error))
 }
 
-fn gunzip(path: &Path) -> Result<Spool, DemError> {
+/// Looks at the first bytes in a gzip, so that what is no DEM is not unpacked at all.
+fn refuse_unknown(path: &Path) -> Result<(), DemError> {
+    let inner = path.with_file_name(inner_name(path));
+    let file = File::open(path).map_err(|e| DemError::io(path, "open", e))?;
+    let mut bytes = Vec::new();
+    let first = MultiGzDecoder::new(BufReader::new(file))
+        .take(HEAD_BYTES)
+        .read_to_end(&mut bytes);
+    first.map_err(|e| {
+        let expected = "sound packed data (is the file cut short?)";
+        DemError::damaged(path, "the packed data", e.to_string(), expected)
+    })?;
+    let length = match bytes.len() as u64 {
+        HEAD_BYTES => u64::MAX, // or more than is known of
+        all => all,
+    };
+    let head = Head { bytes, length };
+    let described = || header_of(&inner).is_some();
+    match kind_of(&inner, &head).is_some() || described() {
+        true => Ok(()),
+        false => Err(detect::unknown(path, &head)),
+    }
+}
+
+/// The name of what is in a gzip: without `.gz`.
+fn inner_name(path: &Path) -> String {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let inner = match name.rsplit_once('.') {
+    match name.rsplit_once('.') {
         Some((stem, "gz" | "GZ")) if !stem.is_empty() => stem.to_string(),
         _ => format!("{name}.unpacked"),
-    };
+    }
+}
+
+fn gunzip(path: &Path) -> Result<Spool, DemError> {
+    let inner = inner_name(path);
     let gdal = format!("/vsigzip/{}", path.display());
     let spool = Spool::instead(path, &inner, gdal)?;
     let file = File::open(path).map_err(|e| DemError::io(path, "open", e))?;

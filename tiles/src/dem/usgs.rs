@@ -19,6 +19,8 @@ use super::{
 const MAX_FILE_BYTES: u64 = 256 << 20;
 /// The most samples of the box around all profiles.
 const MAX_SAMPLES: u64 = 64 << 20;
+/// Rows that a corner of the sheet may lie beyond all profiles.
+const MOST_ROWS_BEYOND: f64 = 64.0;
 /// How far a profile's start may be off the lattice, in cells.
 const MAX_OFF_LATTICE: f64 = 0.05;
 
@@ -56,6 +58,8 @@ struct RecordA {
     /// Steps x, y in the system's units, z in units of height.
     steps: [f64; 3],
     profiles: u32,
+    /// Of the corners, in the system's units.
+    corners_y: [f64; 4],
     vertical: Option<String>,
     horizontal: u32,
 }
@@ -178,12 +182,14 @@ impl RecordA {
             return Err(damaged(858, 6, "the count of profiles"));
         }
         let code = |at| field(at, 2).parse().unwrap_or_default();
+        let corner = |i: usize| field(570 + 48 * i, 24).parse().unwrap_or(f64::NAN);
         Ok(Self {
             system: system.unsigned_abs(),
             zone: whole(162, "the zone")?,
             unit_m,
             steps: [step(816)?, step(828)?, step(840)?],
             profiles,
+            corners_y: [corner(0), corner(1), corner(2), corner(3)],
             vertical: vertical_datum(code(888)),
             horizontal: code(890),
         })
@@ -215,6 +221,20 @@ impl RecordA {
             name: format!("EPSG:{code}"),
             metres_per_unit: 1.0,
         })
+    }
+
+    /// South and north of a box that reaches to the row beyond the southern and northern corner,
+    /// unless they are far off: then it is them that are wrong.
+    fn with_corners(&self, south: f64, north: f64) -> (f64, f64) {
+        let rows = |beyond: f64| match (beyond / self.steps[1]).ceil() {
+            rows if rows > 0.0 && rows <= MOST_ROWS_BEYOND => rows,
+            _ => 0.0,
+        };
+        let most =
+            |of: &dyn Fn(f64) -> f64| self.corners_y.iter().map(|y| of(*y)).fold(0.0, f64::max);
+        let below = most(&|y| rows(south - y));
+        let above = most(&|y| rows(y - north));
+        (south - below * self.steps[1], north + above * self.steps[1])
     }
 
     /// Degrees of seconds of arc, or metres as they are.
@@ -364,6 +384,8 @@ fn frame(profiles: &[Profile], a: &RecordA, path: &Path) -> Result<Frame, DemErr
     let east = filled().map(|p| p.x).fold(f64::NEG_INFINITY, f64::max);
     let top = |p: &Profile| p.y + (p.values.len() - 1) as f64 * dy;
     let north = filled().map(top).fold(f64::NEG_INFINITY, f64::max);
+    // The corners of the sheet count, too, though no sample may lie at them.
+    let (south, north) = a.with_corners(south, north);
     let (width, height) = ((east - x0) / dx + 1.0, (north - south) / dy + 1.0);
     let sound = width.is_finite() && height.is_finite();
     if !sound || width.round() * height.round() > MAX_SAMPLES as f64 {

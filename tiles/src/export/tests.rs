@@ -82,6 +82,7 @@ fn built(folder: &Path, source: &mut dyn DemSource) -> DatasetSource {
     let options = BuildOptions {
         quantum: Quantum::Natural,
         overwrite: true,
+        ..BuildOptions::default()
     };
     build(source, folder, vec!["grid".into()], options, &|_, _| {}).unwrap();
     DatasetSource::new(Dataset::open(folder).unwrap())

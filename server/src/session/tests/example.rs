@@ -3,7 +3,7 @@
 use super::*;
 use crate::source::SourceError;
 use escarp_proto::manifest::Manifest;
-use escarp_proto::page::{PAGE_AREA, Page, Record, revision};
+use escarp_proto::page::{Codec, PAGE_AREA, Page, Record, revision};
 use std::borrow::Cow;
 
 const SPECIFICATION: &str = include_str!("../../../../proto/PROTOCOL.md");
@@ -54,7 +54,10 @@ impl Ramp {
         Ramp {
             manifest: Manifest::from_json(&json).unwrap(),
             json,
-            record: Record::encode(&Page::new(PageId::ROOT, &samples, None).unwrap()),
+            record: Record::encode(
+                &Page::new(PageId::ROOT, &samples, None).unwrap(),
+                Codec::Plain,
+            ),
         }
     }
 }

@@ -142,6 +142,24 @@ fn files_packed_without_end_are_refused() {
 }
 
 #[test]
+fn what_is_no_dem_is_refused_before_it_is_unpacked() {
+    let folder = Folder::new();
+    // Cut short, so that to unpack it would fail in another way.
+    let mut packed = gzip_bytes(&vec![0; 1 << 20]);
+    packed.truncate(packed.len() - 20);
+    let error = read(&folder.write("zeros.gz", &packed)).unwrap_err();
+    assert!(matches!(error, DemError::NotADem { .. }), "{error}");
+    // Samples beside a header are a DEM, though nothing in them says so.
+    folder.write("a.prj", PRJ);
+    folder.write(
+        "a.hdr",
+        b"NROWS 1\nNCOLS 2\nULXMAP 0\nULYMAP 0\nXDIM 1\nYDIM 1\n",
+    );
+    let path = folder.write("a.bil.gz", &gzip_bytes(&[7, 8]));
+    assert_eq!(read(&path).unwrap().1, [7.0, 8.0]);
+}
+
+#[test]
 fn names_in_a_zip_cannot_lead_elsewhere() {
     for (name, expected) in [
         ("../../etc/passwd", "passwd"),

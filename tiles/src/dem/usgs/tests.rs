@@ -167,6 +167,23 @@ fn hostile_files_are_refused_with_their_place() {
 }
 
 #[test]
+fn corners_of_the_sheet_widen_the_box_unless_they_are_far_off() {
+    let good = String::from_utf8(file(1, 2, METRE, &RAGGED)).unwrap();
+    // The profiles span 600 to 690; rows are 30 apart.
+    for (corner, height, y0) in [
+        ("   0.569000000000000D+03", 6, 690.0),
+        ("   0.721000000000000D+03", 6, 750.0),
+        ("   0.900000000000000D+09", 4, 690.0),
+    ] {
+        let mut text = good.clone();
+        text.replace_range(570..594, corner);
+        let (info, heights) = read_bytes(text.as_bytes()).unwrap();
+        assert_eq!((info.height, info.placement.y0), (height, y0), "{corner}");
+        assert_eq!(heights.iter().filter(|h| !h.is_nan()).count(), 5);
+    }
+}
+
+#[test]
 fn mount_st_helens_has_its_published_heights() {
     let Some(data) = real_data() else { return };
     let (info, heights) =

@@ -1,34 +1,15 @@
-//! A deterministic synthetic DEM: ridges, gullies, valleys, lakes, an escarpment, fine detail.
+//! The land: everything wide enough to be told by every eighth sample.
 //!
-//! Each height is a function of seed and place alone, in integers alone, so that any machine makes
-//! the same terrain. Ten octaves: four of gradient noise shape the land (K. Perlin, "Improving
-//! Noise", 2002), the largest folded into ridges; four of gullies are carved into it; two are
-//! grain. A gully octave blends waves whose crests run down the slope of all octaves before it,
-//! so that small gullies join large ones (after F. Westin and C. John, "Terrain Erosion", 2022,
-//! and R. Skovbo Johansen, "Phacelle noise", 2025).
+//! Octaves of gradient noise shape it (K. Perlin, "Improving Noise", 2002), the largest folded into
+//! ridges; gullies are carved into it. A gully octave blends waves whose crests run down the slope
+//! of all octaves before it, so that small gullies join large ones (after F. Westin and C. John,
+//! "Terrain Erosion", 2022, and R. Skovbo Johansen, "Phacelle noise", 2025).
 //!
-//! Lengths are samples of 10 m; heights are centimetres; other numbers have 16 fractional bits.
-
-use std::path::{Path, PathBuf};
-
-use rayon::prelude::*;
-
-use crate::dem::{
-    Crs, DemError, DemInfo, DemSource, MAX_SIDE_SAMPLES, Placement, Registration, SampleType,
-    write_geotiff as write_dem,
-};
-
-/// Metres between samples.
-pub const SPACING_M: f64 = 10.0;
-
-/// Level of the lakes, in centimetres: all that would lie lower is water.
-pub const LAKE_CM: i32 = 70_000;
-
-/// No height is above this, in centimetres.
-pub const MAX_CM: i32 = 300_000;
+//! Lengths are samples, heights centimetres where samples are 10 m apart; other numbers have 16
+//! fractional bits.
 
 /// One, with 16 fractional bits.
-const ONE: i64 = 1 << 16;
+pub(super) const ONE: i64 = 1 << 16;
 
 /// Centimetres in a metre.
 const M: i64 = 100;
@@ -42,6 +23,8 @@ const TAU: i64 = 411_775;
 /// How far the land is bent sideways per slope of [`BEND`], in samples.
 const BEND_SAMPLES: i64 = 105;
 
+const CONTINENT: Wave = Wave::new(19_000, 4, 2);
+const PROVINCE: Wave = Wave::new(7_000, 2, 3);
 const BEND: Wave = Wave::new(900, 2, 11);
 const LAND: Wave = Wave::new(2300, 1, 1);
 const FAULT: Wave = Wave::new(1300, 5, 70);
@@ -55,27 +38,41 @@ const HILLS: [(Wave, i64); 2] = [
     (Wave::new(560, 1, 21), 600 * M),
     (Wave::new(270, 2, 22), 200 * M),
 ];
-const GULLIES: [(Wave, i64); 4] = [
+const GULLIES: [(Wave, i64); 3] = [
     (Wave::new(184, 3, 40), 122 * M),
     (Wave::new(82, 4, 41), 60 * M),
     (Wave::new(36, 5, 42), 27 * M),
-    (Wave::new(16, 0, 43), 10 * M),
 ];
-const GRAIN: [(Wave, i64); 2] = [(Wave::new(7, 3, 60), 130), (Wave::new(3, 4, 61), 50)];
 
-/// Height of sample (`x` east, `y` south) in centimetres, from [`LAKE_CM`] to [`MAX_CM`].
-pub fn height(seed: u64, x: i64, y: i64) -> i32 {
+/// The land at a place.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Land {
+    /// Centimetres.
+    pub(super) cm: i64,
+    /// How much of the detail there is: 0 to [`ONE`].
+    pub(super) rough: i64,
+    /// How far across a fault line; the step is where this is zero.
+    pub(super) fault: i64,
+    /// How high the step is, in centimetres.
+    pub(super) step_cm: i64,
+}
+
+/// The land at sample (`x` east, `y` south).
+pub(super) fn land(seed: u64, x: i64, y: i64) -> Land {
     let here = Place { x, y, bend: (0, 0) };
     let bend = gradient_noise(seed, &BEND, here);
     let bent = Place {
         bend: (bend.dx * BEND_SAMPLES, bend.dy * BEND_SAMPLES),
         ..here
     };
-    let high = smooth_step(gradient_noise(seed, &LAND, bent).value, -ONE / 4, ONE / 5);
+    let continent = gradient_noise(seed, &CONTINENT, here).value;
+    let province = gradient_noise(seed, &PROVINCE, here).value;
+    let lie = gradient_noise(seed, &LAND, bent).value + (continent + province) / 3;
+    let high = smooth_step(lie, -ONE / 4, ONE / 5);
     // Lowland keeps an eighth of every relief, so that plains roll too.
     let relief = ONE / 8 + mul(high, ONE * 7 / 8);
     let mut ground = Ground {
-        cm: 560 * M + mul(high, 900 * M),
+        cm: 620 * M + mul(high, 850 * M) + mul(continent, 250 * M) + mul(province, 150 * M),
         slope: (0, 0),
     };
     ground.add(
@@ -93,11 +90,14 @@ pub fn height(seed: u64, x: i64, y: i64) -> i32 {
             wave,
         );
     }
-    for (wave, cm) in &GRAIN {
-        ground.cm += mul(gradient_noise(seed, wave, here).value, *cm);
+    let steep = (ground.slope.0.abs() + ground.slope.1.abs()).min(ONE);
+    let (fault, step_cm) = cliff(seed, here, bent, high, ground.slope);
+    Land {
+        cm: ground.cm,
+        rough: mul(relief, ONE / 4 + steep * 3 / 4),
+        fault,
+        step_cm,
     }
-    ground.cm += cliff_cm(seed, here, bent, high, ground.slope);
-    ground.cm.clamp(i64::from(LAKE_CM), i64::from(MAX_CM)) as i32
 }
 
 /// What the octaves so far have made of a place.
@@ -125,23 +125,20 @@ impl Ground {
     }
 }
 
-/// A step along a fault line in the lowland; in mountains it would look like a scratch.
-fn cliff_cm(seed: u64, here: Place, bent: Place, high: i64, slope: (i64, i64)) -> i64 {
+/// A step along a fault line in the lowland; in mountains it would look like a scratch. Gives how
+/// far a place is across the line (the step is where this is zero), and how high the step is.
+fn cliff(seed: u64, here: Place, bent: Place, high: i64, slope: (i64, i64)) -> (i64, i64) {
     if high == ONE {
-        return 0;
+        return (0, 0);
     }
-    let reach = smooth_step(
-        gradient_noise(seed, &FAULT_REACH, here).value,
-        -ONE / 8,
-        ONE / 5,
-    );
+    let reach = gradient_noise(seed, &FAULT_REACH, here).value;
+    let reach = smooth_step(reach, -ONE / 8, ONE / 5);
     if reach == 0 {
-        return 0;
+        return (0, 0);
     }
     // Slopes notch the line where gullies cross it.
     let line = gradient_noise(seed, &FAULT, bent).value + (slope.0 + slope.1) / 20;
-    let step = smooth_step(line, -ONE / 400, ONE / 400);
-    mul(mul(mul(step, reach), ONE - high), CLIFF_CM)
+    (line, mul(mul(reach, ONE - high), CLIFF_CM))
 }
 
 /// A sample, and how far from it the land is looked up.
@@ -336,12 +333,12 @@ fn fade_slope(t: i64) -> i64 {
 }
 
 /// 0 up to `from`, 1 beyond `to`, smooth between.
-fn smooth_step(x: i64, from: i64, to: i64) -> i64 {
+pub(super) fn smooth_step(x: i64, from: i64, to: i64) -> i64 {
     let t = ((x - from) * ONE / (to - from)).clamp(0, ONE);
     mul(mul(t, t), 3 * ONE - 2 * t)
 }
 
-fn mul(a: i64, b: i64) -> i64 {
+pub(super) fn mul(a: i64, b: i64) -> i64 {
     (a * b) >> 16
 }
 
@@ -354,7 +351,7 @@ fn signed_pair(hash: u64) -> (i64, i64) {
 }
 
 /// Mixes as splitmix64 does (G. Steele and others, 2014).
-fn hash(seed: u64, x: i64, y: i64) -> u64 {
+pub(super) fn hash(seed: u64, x: i64, y: i64) -> u64 {
     let x = (x as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15);
     let y = (y as u64).wrapping_mul(0xD1B5_4A32_D192_ED03);
     let h = seed ^ x ^ y;
@@ -362,118 +359,9 @@ fn hash(seed: u64, x: i64, y: i64) -> u64 {
     (h ^ (h >> 29)).wrapping_mul(0x94D0_49BB_1331_11EB)
 }
 
-/// The synthetic DEM as a source: a square in UTM zone 32N, grid-registered, without holes.
-#[derive(Debug, Clone)]
-pub struct SynthSource {
-    info: DemInfo,
-    seed: u64,
-}
-
-impl SynthSource {
-    /// A square of `size` samples a side (1 to [`MAX_SIDE_SAMPLES`], clamped), at [`SPACING_M`].
-    pub fn new(size: u32, seed: u64) -> Self {
-        let size = size.clamp(1, MAX_SIDE_SAMPLES);
-        let placement = Placement {
-            x0: 500_000.0,
-            y0: 5_200_000.0,
-            dx: SPACING_M,
-            dy: SPACING_M,
-        };
-        let info = DemInfo {
-            path: PathBuf::from(format!("(synthetic, seed {seed})")),
-            format: "synthetic",
-            width: size,
-            height: size,
-            placement,
-            crs: Crs::Projected {
-                name: "EPSG:32632".into(),
-                metres_per_unit: 1.0,
-            },
-            registration: Registration::Grid,
-            sample_type: SampleType::I32,
-            height_step_m: 0.01,
-            nodata: None,
-            vertical: None,
-        };
-        Self { info, seed }
-    }
-}
-
-impl DemSource for SynthSource {
-    fn info(&self) -> &DemInfo {
-        &self.info
-    }
-
-    fn read_rows(&mut self, first_row: u32, rows: u32, out: &mut [f64]) -> Result<(), DemError> {
-        self.info.check_band(first_row, rows, out)?;
-        let seed = self.seed;
-        out.par_chunks_mut(self.info.width as usize)
-            .zip(first_row..first_row + rows)
-            .for_each(|(line, row)| {
-                for (column, out_m) in (0..).zip(line) {
-                    *out_m = f64::from(height(seed, column, i64::from(row))) / 100.0;
-                }
-            });
-        Ok(())
-    }
-}
-
-/// Writes the synthetic DEM as a GeoTIFF of 32-bit floats in metres, holding 256 rows at a time.
-///
-/// # Errors
-/// [`DemError::Usage`] for a size of 0 or above [`MAX_SIDE_SAMPLES`]; [`DemError::Io`].
-pub fn write_geotiff(path: &Path, size: u32, seed: u64) -> Result<(), DemError> {
-    let mut source = SynthSource::new(size, seed);
-    if source.info.width != size {
-        let what = format!("a size of {size} samples");
-        return Err(DemError::usage(
-            path,
-            what,
-            format!("give 1 to {MAX_SIDE_SAMPLES}"),
-        ));
-    }
-    write_dem(path, &mut source)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::dem::{OpenOptions, open};
-
-    #[test]
-    fn the_terrain_is_the_same_on_every_machine() {
-        let mut digest = 0xcbf2_9ce4_8422_2325_u64;
-        for seed in [0, 1, u64::MAX] {
-            for y in (-40_000..40_000).step_by(1999) {
-                for x in (-40_000..40_000).step_by(1777) {
-                    digest ^= height(seed, x, y) as u64;
-                    digest = digest.wrapping_mul(0x0000_0100_0000_01b3);
-                }
-            }
-        }
-        assert_eq!(digest, GOLDEN, "{digest:#x}");
-    }
-
-    #[test]
-    fn it_has_a_flat_lake_high_mountains_and_a_cliff() {
-        let at = |i: i64| height(7, i % 1000 * 6, i / 1000 * 6);
-        let heights: Vec<i32> = (0..1_000_000).step_by(7).map(at).collect();
-        let lake = heights.iter().filter(|h| **h == LAKE_CM).count();
-        assert!(
-            lake > heights.len() / 200 && lake < heights.len() / 4,
-            "{lake}"
-        );
-        assert!(heights.iter().any(|h| *h > 2000 * 100));
-    }
-
-    #[test]
-    fn heights_do_not_overflow_at_the_ends_of_the_world() {
-        for x in [i64::MIN, -1 << 40, 0, 1 << 40, i64::MAX] {
-            for y in [i64::MIN, 0, i64::MAX] {
-                assert!((LAKE_CM..=MAX_CM).contains(&height(3, x, y)));
-            }
-        }
-    }
 
     #[test]
     fn the_sine_is_within_a_thousandth() {
@@ -510,30 +398,4 @@ mod tests {
             );
         }
     }
-
-    #[test]
-    fn the_file_reads_back_as_it_was_made() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("synth.tif");
-        write_geotiff(&path, 300, 5).unwrap();
-        let mut file = open(&path, &OpenOptions::default()).unwrap();
-        let mut made = SynthSource::new(300, 5);
-        assert_eq!(file.info().placement, made.info().placement);
-        assert_eq!(file.info().crs, made.info().crs);
-        assert_eq!(file.info().registration, Registration::Grid);
-        let (mut a, mut b) = (vec![0.0; 90_000], vec![0.0; 90_000]);
-        file.read_rows(0, 300, &mut a).unwrap();
-        made.read_rows(0, 300, &mut b).unwrap();
-        assert!(a.iter().zip(&b).all(|(a, b)| *a == f64::from(*b as f32)));
-    }
-
-    #[test]
-    fn sizes_that_make_no_grid_are_refused() {
-        for size in [0, MAX_SIDE_SAMPLES + 1] {
-            let written = write_geotiff(Path::new("none.tif"), size, 0);
-            assert!(matches!(written, Err(DemError::Usage { .. })));
-        }
-    }
-
-    const GOLDEN: u64 = 0xb015_e40f_806c_2c1e;
 }
