@@ -170,6 +170,7 @@ pub fn build(
     manifest.valid_samples = stored.valid_samples;
     manifest.height_range = stored.range;
     manifest.storage_error_m = stored.largest_error_m;
+    source.finish()?;
     manifest.resampling = source.resampling();
     Ok(writer.publish(manifest)?)
 }
