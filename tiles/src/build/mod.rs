@@ -171,6 +171,7 @@ pub fn build(
     };
     manifest.valid_samples = stored.valid_samples;
     manifest.height_range = stored.range;
+    source.finish()?;
     manifest.resampling = source.resampling();
     manifest.tolerances = source.tolerances();
     let moved_m = manifest.tolerances.iter().map(|t| t.largest_error_m);

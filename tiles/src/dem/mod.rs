@@ -272,6 +272,15 @@ pub trait DemSource: Send {
         None
     }
 
+    /// Reads what was never asked for, where [`resampling`](Self::resampling) or
+    /// [`tolerances`](Self::tolerances) need it: after a build that was resumed.
+    ///
+    /// # Errors
+    /// As [`read_rows`](Self::read_rows).
+    fn finish(&mut self) -> Result<(), DemError> {
+        Ok(())
+    }
+
     /// What bringing the input to this grid cost, over the rows read so far; `None` where each
     /// sample is the input's.
     fn resampling(&self) -> Option<Resampling> {

@@ -27,7 +27,7 @@ use blocks::{BAND, Cut, Field, Given};
 use escarp_proto::geometry::GridLevels;
 use escarp_proto::manifest::{Resampling, Tolerance};
 use escarp_proto::page::MAX_HEIGHT;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 
 /// Rows that are read from the source at a time.
@@ -46,6 +46,8 @@ pub struct Coarsened {
     /// By region, the most that rounding to whole quanta took, and the farthest that a height was
     /// moved, in quanta.
     largest: Vec<(f64, u32)>,
+    /// Bands that `largest` knows of.
+    noted: BTreeSet<u32>,
 }
 
 impl Coarsened {
@@ -72,6 +74,7 @@ impl Coarsened {
             given: BTreeMap::new(),
             made: None,
             largest,
+            noted: BTreeSet::new(),
         })
     }
 
@@ -186,6 +189,7 @@ impl Coarsened {
         field.apply(&small, self.grid);
         field.apply(&from_below.unwrap_or_default(), self.grid);
         field.note_moves(given, &mut self.largest);
+        self.noted.insert(band);
         self.made = Some((band, field));
         Ok(())
     }
@@ -213,6 +217,15 @@ impl DemSource for Coarsened {
             }
         }
         Ok(())
+    }
+
+    fn finish(&mut self) -> Result<(), DemError> {
+        for band in (0..=self.last_row() / BAND).rev() {
+            if !self.noted.contains(&band) {
+                self.make(band)?;
+            }
+        }
+        self.source.finish()
     }
 
     fn resampling(&self) -> Option<Resampling> {
