@@ -349,6 +349,11 @@ impl Level {
         self.rows.div_ceil(PAGE_CELLS)
     }
 
+    /// Samples that the data has at this level.
+    pub(super) const fn samples(&self) -> u64 {
+        self.width as u64 * self.height as u64
+    }
+
     /// Columns and rows of pages.
     pub(crate) const fn pages(&self) -> (usize, usize) {
         (self.columns, self.rows)
