@@ -32,7 +32,6 @@ fn understood(manifest: &Manifest) {
         );
     }
     extent::placement_of(manifest);
-    if let Some(extent) = extent::of(manifest) {
-        extent::suggestion(&manifest.georef.plane, extent.centre);
-    }
+    extent::of(manifest);
+    extent::suggestion(manifest);
 }

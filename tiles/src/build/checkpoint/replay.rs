@@ -40,7 +40,9 @@ impl Replay {
         self.pages = reader.u64()?;
         self.stored = read_stored(reader, self.samples)?;
         for _ in 0..reader.u32()? {
-            self.index.push(IndexEntry::read(reader)?);
+            let entry = IndexEntry::read(reader)?;
+            self.level.has(entry.family).then_some(())?;
+            self.index.push(entry);
         }
         for _ in 0..reader.u32()? {
             self.band(reader)?;

@@ -7,7 +7,7 @@ use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
-/// The longest file of polygons; read, it may take forty times as much memory.
+/// The longest file of polygons; read, it may take 36 times as much memory.
 const MAX_BYTES: u64 = 16 << 20;
 /// The most sides that the polygons of a file may have together.
 const MAX_EDGES: usize = 1 << 18;
