@@ -83,6 +83,7 @@ impl Checkpoints {
     ) -> Result<(), BuildError> {
         let mut replay = Replay {
             path: self.path.clone(),
+            samples: finest.samples(),
             level: finest,
             index: Vec::new(),
             pages: 0,

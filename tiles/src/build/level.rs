@@ -74,6 +74,17 @@ impl Level {
         self.rows.div_ceil(PAGE_CELLS)
     }
 
+    /// Whether a family is one of the grid's, of any level.
+    pub(super) fn has(&self, family: FamilyId) -> bool {
+        let page = family.page(Slot::from_index(0));
+        page.is_some_and(|page| self.grid.holds(page))
+    }
+
+    /// Samples that the data has at this level.
+    pub(super) const fn samples(&self) -> u64 {
+        self.width as u64 * self.height as u64
+    }
+
     /// Columns and rows of pages.
     pub(crate) const fn pages(&self) -> (usize, usize) {
         (self.columns, self.rows)

@@ -99,6 +99,10 @@ impl<'a> FamilyTable<'a> {
                 "table checksum {found:08x}, the index says {stored:08x}"
             )));
         }
+        let slots = entries.chunks_exact(ENTRY).map(|entry| entry[0]);
+        if !slots.is_sorted_by(|a, b| a < b) {
+            return Err(damaged("slots of the table are not ascending".into()));
+        }
         let records = &bytes[reader.position()..];
         let lengths: usize = entries.chunks_exact(ENTRY).map(length_of).sum();
         if lengths != records.len() {
