@@ -7,12 +7,14 @@ use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
-/// The longest file of polygons.
-const MAX_BYTES: u64 = 64 << 20;
+/// The longest file of polygons; read, it may take 36 times as much memory.
+const MAX_BYTES: u64 = 16 << 20;
 /// The most sides that the polygons of a file may have together.
 const MAX_EDGES: usize = 1 << 18;
 /// Sides are found by row, in this many strips of the source.
 const STRIPS: u32 = 64;
+/// No position may be further from the first sample, in samples.
+const FARTHEST: f64 = 1e12;
 /// Geometries in geometries.
 const MAX_DEPTH: usize = 16;
 
@@ -252,11 +254,16 @@ fn edges(polygons: &[Polygon], info: &DemInfo) -> Result<Vec<Edge>, String> {
         for ring in polygon {
             let corners: Vec<[f64; 2]> = ring
                 .iter()
-                .map(|position| match position[..] {
-                    [x, y, ..] if x.is_finite() && y.is_finite() => {
-                        Ok([(x - place.x0) / place.dx, (place.y0 - y) / place.dy])
-                    }
-                    _ => Err(format!("polygon {number}: a position {position:?}")),
+                .map(|position| {
+                    let corner = match position[..] {
+                        [x, y, ..] => [(x - place.x0) / place.dx, (place.y0 - y) / place.dy],
+                        _ => [f64::NAN; 2],
+                    };
+                    let is_near = corner.iter().all(|at| at.abs() <= FARTHEST);
+                    is_near.then_some(corner).ok_or_else(|| {
+                        let start = &position[..position.len().min(4)];
+                        format!("polygon {number}: a position {start:?}")
+                    })
                 })
                 .collect::<Result<_, _>>()?;
             if corners.len() < 4 || corners.first() != corners.last() {
