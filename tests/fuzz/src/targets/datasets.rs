@@ -7,7 +7,8 @@ use escarp_proto::page::{Codec, revision};
 use escarp_tiles::dataset::{Dataset, FamilyId, FamilyTable, PageReader};
 use escarp_tiles::dem::DemSource;
 use escarp_tiles::export::DatasetSource;
-use escarp_tiles::verify::{Share, survey, verify};
+use escarp_tiles::update::{Edit, compact, update};
+use escarp_tiles::verify::{Share, diff, survey, verify};
 use std::fs;
 use std::path::Path;
 
@@ -62,6 +63,9 @@ pub fn dataset(data: &[u8]) {
     }
     let _ = survey(&dataset);
     let _ = verify(&dataset, Share::PagesALevel(1, 0), &|_, _| {});
+    let same = diff(&dataset, &dataset, &|_, _| {});
+    assert!(same.is_err() || same.is_ok_and(|found| found.samples == 0));
+    change(&dataset);
     read_rows(dataset);
 }
 
@@ -82,6 +86,22 @@ fn read_records(dataset: &Dataset) {
             assert_eq!(found.expect("stored").bytes, record.bytes);
             let _ = pages.page(record.page);
         }
+    }
+}
+
+/// A part is removed, and what is left compacted.
+fn change(dataset: &Dataset) {
+    let edit = Edit {
+        patches: Vec::new(),
+        remove: vec![[2.0, 1.0, 18.0, 5.0]],
+        sources: Vec::new(),
+    };
+    if update(dataset, edit, &|_, _| {}).is_err() {
+        return;
+    }
+    let changed = Dataset::open(dataset.folder()).expect("it was published");
+    if compact(&changed, 0.0, &|_, _| {}).is_ok() {
+        Dataset::open(dataset.folder()).expect("it was published");
     }
 }
 
@@ -189,9 +209,10 @@ fn write_dataset(folder: &Path, shape: &Shape, index: &[u8], segment: &[u8], fil
         ),
     };
     let [width, height] = shape.samples;
+    let valid = width * height;
     let manifest = format!(
         r#"{{"format":"escarp","version":{VERSION},"generation":{GENERATION},"grid_levels":8,
-        "samples":[{width},{height}],"valid_samples":1000,"height_range":[0,1],{filled}
+        "samples":[{width},{height}],"valid_samples":{valid},"height_range":[0,1],{filled}
         "georef":{{"origin_m":[0,0],"sample_spacing_m":[1,1],"quantum_m":1,"plane":{{"kind":"local"}}}},
         "storage_error_m":0,"codec":{},"pages":1,"segments":[{{"file":"seg-1-0","bytes":{}}}],
         "index":{{"bytes":{},"crc32c":{}}},"sources":[]}}"#,
