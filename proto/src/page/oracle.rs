@@ -170,6 +170,10 @@ proptest! {
         prop_assert!(record.bytes().len() <= MAX_RECORD_BYTES);
         let header = RecordHeader::read(page.id(), page.is_finest(), record.bytes()).unwrap();
         prop_assert_eq!(header.record_len(), record.bytes().len());
+        for (first, last) in (0..=6).flat_map(|first| (0..=6).map(move |last| (first, last))) {
+            let found = RecordHeader::find_parts(page.id(), page.is_finest(), record.bytes(), first, last);
+            prop_assert_eq!(found.unwrap(), header.part_bytes(first, last).filter(|_| first <= last));
+        }
         let last = page.last_part();
         let split = split.min(last);
         let first = &record.bytes()[header.part_bytes(0, split).unwrap()];

@@ -157,9 +157,48 @@ impl RecordHeader {
             Codec::Plain => read_plain(page, finest, has_holes, record),
             Codec::Dense => Ok(RecordHeader {
                 range: Range::EMPTY,
-                ends: codec1::part_ends(page, finest, tag, record)?,
+                ends: codec1::part_ends(page, finest, tag, record, last_part(finest))?,
             }),
         }
+    }
+
+    /// Where parts `first..=last` lie in a whole record whose checksum has been compared. `None` if
+    /// there are no such parts. A dense record is decoded only as far as that needs: not at all if
+    /// the whole record is asked for.
+    ///
+    /// # Errors
+    /// As [`read`](Self::read); what is not decoded is not checked.
+    pub fn find_parts(
+        page: PageId,
+        finest: bool,
+        record: &[u8],
+        first: u8,
+        last: u8,
+    ) -> Result<Option<Bytes<usize>>, PageError> {
+        let tag = Tag::read(page, finest, record)?;
+        if first > last || last > last_part(finest) {
+            return Ok(None);
+        }
+        if tag.codec == Codec::Plain {
+            return Ok(Self::read(page, finest, record)?.part_bytes(first, last));
+        }
+        let to_end = last == last_part(finest);
+        let known = if to_end {
+            first.saturating_sub(1)
+        } else {
+            last
+        };
+        let ends = match known {
+            0 => vec![1],
+            _ => codec1::part_ends(page, finest, tag, record, known)?,
+        };
+        let start = first.checked_sub(1).map(|before| ends[usize::from(before)]);
+        let end = if to_end {
+            record.len()
+        } else {
+            ends[usize::from(last)]
+        };
+        Ok(Some(start.unwrap_or(0)..end))
     }
 
     /// Length of the whole record, in bytes.

@@ -2,7 +2,7 @@
 
 use super::queue::Wish;
 use crate::source::PageSource;
-use escarp_proto::page::RecordHeader;
+use escarp_proto::page::{RecordHeader, last_part as last_part_of};
 use escarp_proto::wire::{Chunk, MissReason};
 
 /// At most so many bytes of a Pages message are not chunks: its tag and its count.
@@ -30,14 +30,12 @@ pub(super) fn chunk_of(source: &dyn PageSource, wish: Wish) -> Result<Chunk, Mis
         .map_err(|error| damaged(error.to_string()))?;
     let (revision, record) = record.ok_or(MissReason::NotFound)?;
     let finest = source.manifest().grid_levels.is_finest(page);
-    let header =
-        RecordHeader::read(page, finest, &record).map_err(|error| damaged(error.to_string()))?;
-    let last_part = wish.last_part.min(header.last_part());
+    let last_part = wish.last_part.min(last_part_of(finest));
     if first_part > last_part {
         return Err(MissReason::NotFound);
     }
-    let parts = header
-        .part_bytes(first_part, last_part)
+    let parts = RecordHeader::find_parts(page, finest, &record, first_part, last_part)
+        .map_err(|error| damaged(error.to_string()))?
         .ok_or(MissReason::NotFound)?;
     let bytes = record
         .get(parts)

@@ -9,7 +9,8 @@
 mod bands;
 mod replay;
 
-use super::level::{Above, Level};
+use super::above::Above;
+use super::level::Level;
 use super::rows::Stored;
 use super::{BuildError, BuildOptions};
 use crate::dataset::{DatasetError, DatasetWriter, Journal, MAX_ENTRY_BYTES};

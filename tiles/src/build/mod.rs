@@ -6,13 +6,17 @@
 //! The levels above are then made in the same way from memory. The next band is read meanwhile.
 //! Memory is bounded by two bands and a few bytes for each finest page; nothing is written but the dataset itself.
 
+mod above;
+mod band;
 mod checkpoint;
 mod level;
 mod quantise;
 mod regions;
 mod rows;
 
-pub(crate) use level::{Band, FAMILY_CELLS, Level, Slots};
+pub(crate) use above::Slots;
+pub(crate) use band::Band;
+pub(crate) use level::{FAMILY_CELLS, Level};
 pub(crate) use quantise::HOLE;
 pub use quantise::{Quantum, choose_quantum};
 pub use regions::{Coarsened, Tolerances, Wish};
@@ -21,11 +25,11 @@ pub(crate) use rows::{Rows, SourceRows};
 use crate::dataset::{DatasetError, DatasetWriter, FilledRun, FilledRuns};
 use crate::dem::{self, DemError, DemSource, Fills};
 use crate::frame::{georef_of, scale_error_percent};
+use above::MemoryRows;
 use checkpoint::Checkpoints;
 use escarp_proto::geometry::GridLevels;
 use escarp_proto::manifest::{FORMAT, FileCheck, Manifest, VERSION};
 use escarp_proto::page::{Codec, PageError};
-use level::MemoryRows;
 use std::path::{Path, PathBuf};
 use thiserror::Error;
 

@@ -3,16 +3,16 @@
 use super::{DatasetError, IndexEntry};
 use crate::checksum::crc32c;
 use escarp_proto::bytes::Reader;
-use escarp_proto::geometry::{PAGE_SLOTS, PageId, Slot};
+use escarp_proto::geometry::{PageId, Slot};
 use escarp_proto::page::{MAX_RECORD_BYTES, revision};
 use std::path::Path;
+
+mod table;
+use table::Table;
 
 /// Names the children of a page, or the root page alone.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct FamilyId(u64);
-
-/// Length of one of the table's entries, bytes.
-const ENTRY: usize = 1 + 2 + 4;
 
 impl FamilyId {
     /// The family of the root page.
@@ -59,11 +59,11 @@ pub struct StoredRecord<'a> {
     pub bytes: &'a [u8],
 }
 
-/// The table of a family, its checksum verified.
+/// A family, the checksum of its table verified.
 #[derive(Debug, Clone, Copy)]
 pub struct FamilyTable<'a> {
     family: FamilyId,
-    entries: &'a [u8],
+    table: Table<'a>,
     records: &'a [u8],
     path: &'a Path,
     /// Of the first record, in the segment.
@@ -87,89 +87,61 @@ impl<'a> FamilyTable<'a> {
                 family.0
             )));
         }
-        let count = reader.u16().ok_or_else(cut)? as usize;
-        if count == 0 || count > PAGE_SLOTS {
-            return Err(damaged(format!("{count} records, allowed are 1..=256")));
-        }
-        let entries = reader.take(count * ENTRY).ok_or_else(cut)?;
-        let found = crc32c(&bytes[..reader.position()]);
-        let stored = entry.table_crc32c;
+        let table = Table::read(&mut reader).ok_or_else(cut)?;
+        let (table_bytes, records) = bytes.split_at(reader.position());
+        let (found, stored) = (crc32c(table_bytes), entry.table_crc32c);
         if found != stored {
             return Err(damaged(format!(
                 "table checksum {found:08x}, the index says {stored:08x}"
             )));
         }
-        let slots = entries.chunks_exact(ENTRY).map(|entry| entry[0]);
-        if !slots.is_sorted_by(|a, b| a < b) {
-            return Err(damaged("slots of the table are not ascending".into()));
-        }
-        let records = &bytes[reader.position()..];
-        let lengths: usize = entries.chunks_exact(ENTRY).map(length_of).sum();
-        if lengths != records.len() {
-            let there = records.len();
-            return Err(damaged(format!(
-                "records of {lengths} bytes in a space of {there}"
-            )));
-        }
+        table.check(records.len()).map_err(damaged)?;
         Ok(FamilyTable {
             family,
-            entries,
+            table,
             records,
             path,
-            offset: offset + reader.position() as u64,
+            offset: offset + table_bytes.len() as u64,
         })
     }
 
     /// Number of records.
     pub fn len(&self) -> usize {
-        self.entries.len() / ENTRY
+        self.table.len()
     }
 
     /// Never: a family without records is not stored.
     pub fn is_empty(&self) -> bool {
-        self.entries.is_empty()
+        self.len() == 0
     }
 
     /// All records, each checked.
     pub fn records(&self) -> impl Iterator<Item = Result<StoredRecord<'a>, DatasetError>> + '_ {
-        let mut start = 0;
-        self.entries.chunks_exact(ENTRY).map(move |entry| {
-            let at = start;
-            start += length_of(entry);
-            self.check(entry, at)
-        })
+        self.table.entries().map(|entry| self.record_of(entry))
     }
 
     /// The record of a page of this family, checked.
     pub(super) fn record(&self, page: PageId) -> Result<Option<StoredRecord<'a>>, DatasetError> {
-        let slot = page.parent().map_or(0, |(_, slot)| slot.index());
-        let mut start = 0;
-        for entry in self.entries.chunks_exact(ENTRY) {
-            if usize::from(entry[0]) == slot {
-                return self.check(entry, start).map(Some);
-            }
-            start += length_of(entry);
-        }
-        Ok(None)
+        let slot = page.parent().map_or(0, |(_, slot)| slot.index() as u8);
+        let entry = self.table.find(slot);
+        entry.map(|entry| self.record_of(entry)).transpose()
     }
 
-    fn check(&self, entry: &[u8], start: usize) -> Result<StoredRecord<'a>, DatasetError> {
+    fn record_of(&self, entry: table::Entry) -> Result<StoredRecord<'a>, DatasetError> {
         let damaged = |why: String| {
-            let at = self.offset + start as u64;
+            let at = self.offset + entry.start as u64;
             DatasetError::damaged(self.path, format!("record at byte {at}: {why}"))
         };
-        let slot = Slot::from_index(entry[0]);
-        let page = self.family.page(slot);
-        let page = page.ok_or_else(|| damaged(format!("slot {}", entry[0])))?;
-        let bytes = &self.records[start..start + length_of(entry)];
-        if bytes.len() > MAX_RECORD_BYTES {
+        let page = self.family.page(Slot::from_index(entry.slot));
+        let page = page.ok_or_else(|| damaged(format!("slot {}", entry.slot)))?;
+        if entry.bytes > MAX_RECORD_BYTES {
             return Err(damaged(format!(
                 "{} bytes, allowed are {MAX_RECORD_BYTES}",
-                bytes.len()
+                entry.bytes
             )));
         }
-        let stored = u32::from_le_bytes([entry[3], entry[4], entry[5], entry[6]]);
-        let found = revision(page, bytes);
+        let bytes = &self.records[entry.start..entry.start + entry.bytes];
+        let (stored, found) = (entry.revision, revision(page, bytes));
         if found != stored {
             let why = format!("page {page} has checksum {found:08x}, stored is {stored:08x}");
             return Err(damaged(why));
@@ -182,22 +154,16 @@ impl<'a> FamilyTable<'a> {
     }
 }
 
-fn length_of(entry: &[u8]) -> usize {
-    usize::from(u16::from_le_bytes([entry[1], entry[2]]))
-}
-
 /// The bytes of a family, and the CRC-32C of its table. Records come by slot, ascending.
 pub(super) fn encode_family(family: FamilyId, records: &[(Slot, Vec<u8>)]) -> (Vec<u8>, u32) {
     let mut out = Vec::new();
     out.extend(family.0.to_le_bytes());
-    out.extend((records.len() as u16).to_le_bytes());
-    for (slot, record) in records {
+    let entries = records.iter().map(|(slot, record)| {
         // A family has only slots of its parent, so the page exists; the root has only slot 0.
         let page = family.page(*slot).unwrap_or(PageId::ROOT);
-        out.push(slot.index() as u8);
-        out.extend((record.len() as u16).to_le_bytes());
-        out.extend(revision(page, record).to_le_bytes());
-    }
+        (slot.index() as u8, record.len(), revision(page, record))
+    });
+    table::write(&entries.collect::<Vec<_>>(), &mut out);
     let table_crc32c = crc32c(&out);
     for (_, record) in records {
         out.extend(record);

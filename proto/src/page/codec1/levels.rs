@@ -18,9 +18,12 @@
 //! eight lanes at a time, whether or not there are so many vertices.
 
 use crate::geometry::PAGE_SAMPLES;
+use crate::page::PAGE_AREA;
 
 /// Of a plane, which has a ring of extrapolated samples around up to 9 x 9 known ones.
-const SIDE: usize = 16;
+const ROWS: usize = 11;
+/// The same, and one more for alignment.
+const COLUMNS: usize = 12;
 /// Vertices of a row that are computed together.
 pub(super) const LANES: usize = 8;
 /// No feature counts for more, so that their weighted sum stays below `2^32`.
@@ -28,10 +31,12 @@ const MOST: i32 = 1 << 20;
 /// Steeper ground is not more so as far as rounding goes.
 const STEEP: i32 = 4;
 
-type Plane = [[i32; SIDE]; SIDE];
+type Plane = [[i32; COLUMNS]; ROWS];
+
+const BLANK: Plane = [[0; COLUMNS]; ROWS];
 
 /// Predictions of up to eight vertices, and the expected magnitudes of their residuals in 64ths.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Default)]
 pub(super) struct Row {
     pub(super) predicted: [i32; LANES],
     pub(super) expected: [u32; LANES],
@@ -42,6 +47,15 @@ pub(super) struct Row {
 pub(super) struct Line {
     pub(super) heights: [i32; LANES],
     pub(super) residuals: [i32; LANES],
+}
+
+impl Line {
+    /// The largest magnitude of a residual, and of one before.
+    #[inline(always)]
+    pub(super) fn largest(&self, before: u32) -> u32 {
+        let sizes = self.residuals.map(i32::unsigned_abs);
+        sizes.into_iter().fold(before, u32::max)
+    }
 }
 
 /// What a residual's magnitude is expected from.
@@ -192,38 +206,35 @@ macro_rules! sum {
 }
 
 impl Levels {
-    /// Starts from the corners: south-west, south-east, north-west, north-east.
-    pub(super) fn new(corners: [i32; 4]) -> Levels {
-        let mut coarse = [[0; SIDE]; SIDE];
-        (coarse[1][1], coarse[1][2], coarse[2][1], coarse[2][2]) =
-            (corners[0], corners[1], corners[2], corners[3]);
-        let [sw, se, nw, ne] = corners;
-        let rises = [(sw, se), (nw, ne), (sw, nw), (se, ne)]
-            .map(|(a, b)| size(a.wrapping_sub(b)).min(MOST));
-        let mut coarse_sizes = [[0; SIDE]; SIDE];
-        for row in &mut coarse_sizes[1..3] {
-            row[1..3].fill(rises.into_iter().sum::<i32>() / 4);
-        }
+    /// Before anything is known.
+    pub(super) fn new() -> Levels {
         Levels {
             cells: 1,
-            coarse,
-            coarse_sizes,
-            centres: [[0; SIDE]; SIDE],
-            centre_sizes: [[0; SIDE]; SIDE],
-            rows: [[0; SIDE]; SIDE],
-            row_sizes: [[0; SIDE]; SIDE],
-            columns: [[0; SIDE]; SIDE],
-            column_sizes: [[0; SIDE]; SIDE],
+            coarse: BLANK,
+            coarse_sizes: BLANK,
+            centres: BLANK,
+            centre_sizes: BLANK,
+            rows: BLANK,
+            row_sizes: BLANK,
+            columns: BLANK,
+            column_sizes: BLANK,
+        }
+    }
+
+    /// Starts from the corners: south-west, south-east, north-west, north-east.
+    pub(super) fn start(&mut self, [sw, se, nw, ne]: [i32; 4]) {
+        self.coarse[1][1..3].copy_from_slice(&[sw, se]);
+        self.coarse[2][1..3].copy_from_slice(&[nw, ne]);
+        let rises = [(sw, se), (nw, ne), (sw, nw), (se, ne)]
+            .map(|(a, b)| size(a.wrapping_sub(b)).min(MOST));
+        for row in &mut self.coarse_sizes[1..3] {
+            row[1..3].fill(rises.into_iter().sum::<i32>() / 4);
         }
     }
 
     /// Cells on a side of the coarser grid: 1 at level 1, 8 at level 4.
     pub(super) const fn cells(&self) -> usize {
         self.cells
-    }
-
-    fn level(&self) -> usize {
-        self.cells.ilog2() as usize
     }
 
     /// To be called before a level: extrapolates the coarser samples by one beyond the page.
@@ -257,25 +268,28 @@ impl Levels {
         if phase == Phase::Rows && line == 0 {
             self.reflect();
         }
-        match self.cells > LANES / 2 {
-            true => self.predict_lanes::<LANES>(phase, line),
-            false => self.predict_lanes::<{ LANES / 2 }>(phase, line),
+        match self.cells {
+            1 => self.predict_level::<0, 4>(phase, line),
+            2 => self.predict_level::<1, 4>(phase, line),
+            4 => self.predict_level::<2, 4>(phase, line),
+            _ => self.predict_level::<3, LANES>(phase, line),
         }
     }
 
-    fn predict_lanes<const N: usize>(&self, phase: Phase, line: usize) -> Row {
+    /// With the level known at compile time, weights are shifts and sums.
+    fn predict_level<const L: usize, const N: usize>(&self, phase: Phase, line: usize) -> Row {
         match phase {
-            Phase::Centres => self.predict_centres::<N>(line),
-            Phase::Rows => self.predict_row::<N>(line + 1),
-            Phase::Columns => self.predict_column::<N>(line),
-            _ => self.predict_border::<N>(phase),
+            Phase::Centres => self.predict_centres::<L, N>(line),
+            Phase::Rows => self.predict_row::<L, N>(line + 1),
+            Phase::Columns => self.predict_column::<L, N>(line),
+            _ => self.predict_border::<L, N>(phase),
         }
     }
 
-    fn predict_centres<const N: usize>(&self, line: usize) -> Row {
+    fn predict_centres<const L: usize, const N: usize>(&self, line: usize) -> Row {
         let [south, a, b, north] = [0, 1, 2, 3].map(|i| &self.coarse[line + i]);
         let (sizes_a, sizes_b) = (&self.coarse_sizes[line + 1], &self.coarse_sizes[line + 2]);
-        let weights = &CENTRE_WEIGHTS[self.level()];
+        let weights = const { &CENTRE_WEIGHTS[L] };
         lanes::<N>(|i| {
             let near = sum!(a[i + 1], a[i + 2], b[i + 1], b[i + 2]);
             let beside = sum!(a[i], a[i + 3], b[i], b[i + 3]);
@@ -301,12 +315,12 @@ impl Levels {
         })
     }
 
-    fn predict_row<const N: usize>(&self, row: usize) -> Row {
+    fn predict_row<const L: usize, const N: usize>(&self, row: usize) -> Row {
         let [south, own, north] = [0, 1, 2].map(|i| &self.coarse[row + i]);
         let [below, above] = [0, 1].map(|i| &self.centres[row + i]);
         let [sizes_below, sizes_above] = [0, 1].map(|i| &self.centre_sizes[row + i]);
         let sizes = &self.coarse_sizes[row + 1];
-        let weights = &EDGE_WEIGHTS[self.level()];
+        let weights = const { &EDGE_WEIGHTS[L] };
         lanes::<N>(|i| {
             let ends = sum!(own[i + 1], own[i + 2]);
             let across = sum!(below[i + 1], above[i + 1]);
@@ -336,12 +350,12 @@ impl Levels {
         })
     }
 
-    fn predict_column<const N: usize>(&self, line: usize) -> Row {
+    fn predict_column<const L: usize, const N: usize>(&self, line: usize) -> Row {
         let [below, above] = [1, 2].map(|i| &self.coarse[line + i]);
         let [south, own, north] = [0, 1, 2].map(|i| &self.centres[line + i]);
         let own_sizes = &self.centre_sizes[line + 1];
         let [sizes_below, sizes_above] = [1, 2].map(|i| &self.coarse_sizes[line + i]);
-        let weights = &EDGE_WEIGHTS[self.level()];
+        let weights = const { &EDGE_WEIGHTS[L] };
         lanes::<N>(|i| {
             let ends = sum!(below[i + 2], above[i + 2]);
             let across = sum!(own[i + 1], own[i + 2]);
@@ -372,15 +386,21 @@ impl Levels {
     }
 
     /// Cubic along the border.
-    fn predict_border<const N: usize>(&self, phase: Phase) -> Row {
-        let cells = self.cells;
+    fn predict_border<const L: usize, const N: usize>(&self, phase: Phase) -> Row {
+        let cells = 1 << L;
+        type Border = [i32; ROWS];
+        let row = |plane: &Plane, at: usize| std::array::from_fn(|i| plane[at][i]);
         let column = |plane: &Plane, at: usize| std::array::from_fn(|i| plane[i][at]);
-        let (coarse, sizes, beside): ([i32; SIDE], [i32; SIDE], [i32; SIDE]) = match phase {
-            Phase::South => (self.coarse[1], self.coarse_sizes[1], self.centre_sizes[1]),
+        let (coarse, sizes, beside): (Border, Border, Border) = match phase {
+            Phase::South => (
+                row(&self.coarse, 1),
+                row(&self.coarse_sizes, 1),
+                row(&self.centre_sizes, 1),
+            ),
             Phase::North => (
-                self.coarse[cells + 1],
-                self.coarse_sizes[cells + 1],
-                self.centre_sizes[cells],
+                row(&self.coarse, cells + 1),
+                row(&self.coarse_sizes, cells + 1),
+                row(&self.centre_sizes, cells),
             ),
             Phase::West => (
                 column(&self.coarse, 1),
@@ -393,7 +413,7 @@ impl Levels {
                 column(&self.centre_sizes, cells),
             ),
         };
-        let weights = &BORDER_WEIGHTS[self.level()];
+        let weights = const { &BORDER_WEIGHTS[L] };
         lanes::<N>(|i| {
             let near = sum!(coarse[i + 1], coarse[i + 2]);
             let bent = near.wrapping_sub(sum!(coarse[i], coarse[i + 3]));
@@ -410,6 +430,7 @@ impl Levels {
     }
 
     /// Puts a line's vertices in their places, with the magnitudes of their residuals.
+    #[inline]
     pub(super) fn put(&mut self, phase: Phase, line: usize, vertices: usize, of: &Line) {
         let cells = self.cells;
         let sizes = of.residuals.map(|residual| size(residual).min(MOST));
@@ -429,21 +450,49 @@ impl Levels {
                 return;
             }
         };
-        plane[row][1..][..vertices].copy_from_slice(&of.heights[..vertices]);
-        size_plane[row][1..][..vertices].copy_from_slice(&sizes[..vertices]);
+        put_lanes(&mut plane[row], vertices, &of.heights);
+        put_lanes(&mut size_plane[row], vertices, &sizes);
+    }
+
+    /// Puts the known samples, which are `step` apart in the page, and `base` besides.
+    pub(super) fn give(&self, heights: &mut [i32; PAGE_AREA], step: usize, base: i32) {
+        if step > 1 {
+            return self.give_coarse(heights, step, base);
+        }
+        let (rows, _) = heights.as_chunks_mut::<PAGE_SAMPLES>();
+        for (y, row) in rows.iter_mut().enumerate() {
+            let (even, odd) = match y % 2 {
+                0 => (&self.coarse[y / 2 + 1][1..], &self.rows[y / 2]),
+                _ => (&self.columns[y / 2 + 1][..], &self.centres[y / 2 + 1]),
+            };
+            for i in 0..LANES {
+                row[2 * i] = even[i].wrapping_add(base);
+                row[2 * i + 1] = odd[i + 1].wrapping_add(base);
+            }
+            row[2 * LANES] = even[LANES].wrapping_add(base);
+        }
+    }
+
+    /// The same after a level that is closed.
+    fn give_coarse(&self, heights: &mut [i32; PAGE_AREA], step: usize, base: i32) {
+        for y in 0..=self.cells {
+            for x in 0..=self.cells {
+                let at = (y * PAGE_SAMPLES + x) * step;
+                heights[at] = self.coarse[y + 1][x + 1].wrapping_add(base);
+            }
+        }
     }
 
     /// To be called after a level but the last: its vertices become coarser ones.
     pub(super) fn close(&mut self) {
         let cells = self.cells;
-        let coarse = std::mem::replace(&mut self.coarse, [[0; SIDE]; SIDE]);
-        let sizes = std::mem::replace(&mut self.coarse_sizes, [[0; SIDE]; SIDE]);
-        for j in 0..=cells {
-            for i in 0..=cells {
+        // From the end, so that nothing is put where something has still to be taken.
+        for j in (0..=cells).rev() {
+            for i in (0..=cells).rev() {
                 let (y, x) = (2 * j + 1, 2 * i + 1);
-                self.coarse[y][x] = coarse[j + 1][i + 1];
+                self.coarse[y][x] = self.coarse[j + 1][i + 1];
                 // Residuals shrink by half or more from one level to the next.
-                self.coarse_sizes[y][x] = (sizes[j + 1][i + 1] + 1) >> 1;
+                self.coarse_sizes[y][x] = (self.coarse_sizes[j + 1][i + 1] + 1) >> 1;
                 if i < cells {
                     self.coarse[y][x + 1] = self.rows[j][i + 1];
                     self.coarse_sizes[y][x + 1] = self.row_sizes[j][i + 1];
@@ -460,6 +509,15 @@ impl Levels {
         }
         self.cells = 2 * cells;
     }
+}
+
+/// Puts eight numbers in a row, however many there are, but leaves what follows them: that is the
+/// eastern border. What lies further is never asked for.
+#[inline(always)]
+fn put_lanes(row: &mut [i32; COLUMNS], vertices: usize, from: &[i32; LANES]) {
+    let after = row[vertices + 1];
+    row[1..=LANES].copy_from_slice(from);
+    row[vertices + 1] = after;
 }
 
 #[inline(always)]

@@ -19,7 +19,7 @@ use super::record::{CUTS, Codec, HOLES, RAW, Tag};
 use super::{MAX_HEIGHT, PAGE_AREA, Page, PageError, Range, SLOT_PART, level_step};
 use crate::err8::Err8;
 use crate::geometry::{PAGE_LEVELS, PAGE_SAMPLES, PageId};
-use levels::{LANES, Levels, Line, Phase};
+use levels::{LANES, Levels, Line, Phase, Row};
 use rans::{Coder, Decoder, Encoder, Known, START};
 use symbols::{CORNER, MASK, REST, RISE, residual, unzigzag, zigzag};
 
@@ -49,8 +49,10 @@ fn encode_as(page: &Page, raw: Option<Raw>) -> Vec<u8> {
 
 /// Codes a page that is whole and sound, so that no check can fail.
 fn run(page: &Page, raw: Option<Raw>, coder: &mut impl Coder) {
-    let mut traversal = Traversal::new(page.clone(), raw);
-    for part in 1..=page.last_part() {
+    let mut page = page.clone();
+    let last = page.last_part();
+    let mut traversal = Traversal::new(&mut page, raw);
+    for part in 1..=last {
         let _ = traversal.part(part, coder);
     }
 }
@@ -101,24 +103,34 @@ impl Stream {
 }
 
 /// Decodes the parts that follow those that a page has, from their bytes. Gives where each part
-/// ends.
+/// ends. On an error the page is as it was, if it had any parts.
 pub(super) fn extend(
     page: &mut Page,
     stream: Stream,
     parts: u8,
     bytes: &[u8],
-) -> Result<Vec<usize>, PageError> {
+) -> Result<Ends, PageError> {
+    if page.parts == 0 {
+        return extend_in_place(page, stream, parts, bytes);
+    }
+    let mut longer = page.clone();
+    let ends = extend_in_place(&mut longer, stream, parts, bytes)?;
+    *page = longer;
+    Ok(ends)
+}
+
+/// Where parts 1 to 5 end in the bytes that were decoded, as far as they were.
+pub(super) type Ends = [usize; SLOT_PART as usize];
+
+fn extend_in_place(
+    page: &mut Page,
+    stream: Stream,
+    parts: u8,
+    bytes: &[u8],
+) -> Result<Ends, PageError> {
     let (id, last) = (page.id, page.last_part());
     let mut coder = Decoder::new(stream.state, bytes);
-    let mut traversal = Traversal::new(page.clone(), stream.raw);
-    for part in 1..=page.parts {
-        traversal.part(part, &mut Known)?;
-    }
-    let mut ends = Vec::with_capacity(usize::from(parts));
-    for part in page.parts + 1..=parts {
-        traversal.part(part, &mut coder)?;
-        ends.push(coder.position());
-    }
+    let (ends, raw) = decode_parts(page, stream, parts, &mut coder)?;
     let (left, state) = (bytes.len() - coder.position(), coder.state());
     if left > 0 {
         return Err(PageError::Long {
@@ -135,66 +147,104 @@ pub(super) fn extend(
             allowed: "1",
         });
     }
-    let raw = traversal.raw;
-    *page = traversal.page;
     page.parts = parts;
     page.stream = (parts < last).then_some(Stream { state, raw });
     Ok(ends)
 }
 
-/// Where the parts of a whole record end; its header is one byte.
+/// Decodes parts as far as they are wanted, and no bytes more. Gives where they end.
+fn decode_parts(
+    page: &mut Page,
+    stream: Stream,
+    parts: u8,
+    coder: &mut Decoder<'_>,
+) -> Result<(Ends, Option<Raw>), PageError> {
+    let known = page.parts;
+    let mut traversal = Traversal::new(page, stream.raw);
+    for part in 1..=known {
+        traversal.part(part, &mut Known)?;
+    }
+    let mut ends = Ends::default();
+    for part in known + 1..=parts {
+        traversal.part(part, coder)?;
+        ends[usize::from(part) - 1] = coder.position();
+    }
+    if known < PAGE_LEVELS {
+        traversal.settle(parts.min(PAGE_LEVELS));
+    }
+    let raw = traversal.raw;
+    check(page, parts.min(PAGE_LEVELS))?;
+    Ok((ends, raw))
+}
+
+/// Where the first parts of a whole record end, header first, which is one byte. All parts are
+/// held against the end of the record, some are not.
 pub(super) fn part_ends(
     id: PageId,
     finest: bool,
     tag: Tag,
     record: &[u8],
+    parts: u8,
 ) -> Result<Vec<usize>, PageError> {
     let mut page = Page::blank(id, finest);
     page.valid = tag.has_holes.then(|| Box::new([true; PAGE_AREA]));
     page.has_cuts = tag.has_cuts;
-    let last = page.last_part();
-    let stream = Stream::start(tag);
-    let ends = extend(&mut page, stream, last, record.get(1..).unwrap_or_default())?;
+    let (stream, bytes) = (Stream::start(tag), record.get(1..).unwrap_or_default());
+    let ends = match parts == page.last_part() {
+        true => extend_in_place(&mut page, stream, parts, bytes)?,
+        false => {
+            let mut coder = Decoder::new(stream.state, bytes);
+            decode_parts(&mut page, stream, parts, &mut coder)?.0
+        }
+    };
+    let ends = ends.into_iter().take(usize::from(parts));
     Ok(std::iter::once(0).chain(ends).map(|end| end + 1).collect())
 }
 
 /// A page on its way through a coder, part by part.
-struct Traversal {
-    page: Page,
+struct Traversal<'a> {
+    page: &'a mut Page,
     raw: Option<Raw>,
     levels: Levels,
     /// Of the south-west corner: predictions are of what is above it.
     base: i32,
 }
 
-impl Traversal {
-    fn new(page: Page, raw: Option<Raw>) -> Traversal {
+impl<'a> Traversal<'a> {
+    fn new(page: &'a mut Page, raw: Option<Raw>) -> Traversal<'a> {
         Traversal {
             page,
             raw,
-            levels: Levels::new([0; 4]),
+            levels: Levels::new(),
             base: 0,
         }
     }
 
     fn part(&mut self, part: u8, coder: &mut impl Coder) -> Result<(), PageError> {
         if part == SLOT_PART {
-            return slots::code(&mut self.page, coder);
+            return slots::code(self.page, coder);
         }
         if part == 1 {
             self.corners(coder)?;
         }
         let largest = match (self.raw, self.page.has_holes()) {
             (Some(raw), _) => self.raw_level(part, raw, coder),
-            (None, true) => self.level::<true>(part, coder),
-            (None, false) => self.level::<false>(part, coder),
+            (None, true) => self.level::<true, _>(part, coder),
+            (None, false) => self.level::<false, _>(part, coder),
         };
-        self.check(part)?;
         self.rest(part, largest, coder)?;
         if part < PAGE_LEVELS && self.raw.is_none() {
             self.levels.close();
         }
         Ok(())
+    }
+
+    /// Puts decoded heights down to a level in the page, if they are not there yet.
+    fn settle(&mut self, level: u8) {
+        if self.raw.is_none() && !self.page.has_holes() {
+            let heights = &mut *self.page.heights;
+            self.levels.give(heights, level_step(level), self.base);
+        }
     }
 
     /// What may still be missing after a part, as against the part's largest residual. After the
@@ -234,7 +284,7 @@ impl Traversal {
         }
         self.base = self.page.heights[CORNERS[0]];
         let above = CORNERS.map(|at| self.page.heights[at].wrapping_sub(self.base));
-        self.levels = Levels::new(above);
+        self.levels.start(above);
         Ok(())
     }
 
@@ -268,7 +318,7 @@ impl Traversal {
     }
 
     fn holed_corners(&mut self, coder: &mut impl Coder) {
-        let mut last = codec0::corner_start(&self.page);
+        let mut last = codec0::corner_start(self.page);
         for at in CORNERS {
             if self.has_data(at, MASK, coder) {
                 let known = self.page.heights[at];
@@ -293,51 +343,93 @@ impl Traversal {
     }
 
     /// Codes a level's vertices. Gives the largest magnitude of a residual.
-    fn level<const HOLES: bool>(&mut self, level: u8, coder: &mut impl Coder) -> u32 {
-        let cells = self.levels.cells();
+    fn level<const HOLES: bool, C: Coder>(&mut self, level: u8, coder: &mut C) -> u32 {
         let mut largest = 0;
         self.levels.open();
         for phase in Phase::ALL {
-            for line in 0..phase.lines(cells).0 {
-                largest = largest.max(self.line::<HOLES>(level, phase, line, coder));
-            }
+            let of_phase = match HOLES {
+                true => self.holed_phase(level, phase, coder),
+                false => self.full_phase(level, phase, coder),
+            };
+            largest = largest.max(of_phase);
         }
         largest
     }
 
-    fn line<const HOLES: bool>(
+    /// A phase without holes: all predictions first, then all symbols. What is decoded is taken
+    /// from the levels after the last one.
+    fn full_phase<C: Coder>(&mut self, level: u8, phase: Phase, coder: &mut C) -> u32 {
+        let (step, cells) = (level_step(level), self.levels.cells());
+        let (lines, vertices) = phase.lines(cells);
+        let mut rows = [Row::default(); LANES];
+        for (line, row) in rows.iter_mut().enumerate().take(lines) {
+            *row = self.levels.predict(phase, line);
+        }
+        let mut residuals = [[0; LANES]; LANES];
+        for (line, (row, residuals)) in rows.iter().zip(&mut residuals).enumerate().take(lines) {
+            if !C::DECODES {
+                let (first, stride) = phase.samples(cells, line, step);
+                let told = residuals.iter_mut().zip(&row.predicted).take(vertices);
+                for (i, (residual, &predicted)) in told.enumerate() {
+                    let known = self.page.heights[first + i * stride].wrapping_sub(self.base);
+                    *residual = known.wrapping_sub(predicted);
+                }
+            }
+            coder.residuals(&row.expected, vertices, residuals);
+        }
+        let mut largest = 0;
+        for (line, (row, residuals)) in rows.iter().zip(&residuals).enumerate().take(lines) {
+            let height = |i: usize| row.predicted[i].wrapping_add(residuals[i]);
+            let line_of = Line {
+                heights: std::array::from_fn(height),
+                residuals: *residuals,
+            };
+            self.levels.put(phase, line, vertices, &line_of);
+            largest = line_of.largest(largest);
+        }
+        largest
+    }
+
+    fn holed_phase<C: Coder>(&mut self, level: u8, phase: Phase, coder: &mut C) -> u32 {
+        let (step, cells) = (level_step(level), self.levels.cells());
+        let (lines, vertices) = phase.lines(cells);
+        let mut largest = 0;
+        for line in 0..lines {
+            let row = self.levels.predict(phase, line);
+            let (first, stride) = phase.samples(cells, line, step);
+            let places = (0..vertices.min(LANES)).map(move |i| first + i * stride);
+            let line_of = self.holed_line(level, phase, places, &row, coder);
+            self.levels.put(phase, line, vertices, &line_of);
+            largest = line_of.largest(largest);
+        }
+        largest
+    }
+
+    fn holed_line<C: Coder>(
         &mut self,
         level: u8,
         phase: Phase,
-        line: usize,
-        coder: &mut impl Coder,
-    ) -> u32 {
-        let (step, cells, base) = (level_step(level), self.levels.cells(), self.base);
-        let vertices = phase.lines(cells).1;
-        let row = self.levels.predict(phase, line);
-        let (first, stride) = phase.samples(cells, line, step);
-        let mut line_of = Line::default();
-        let mut largest = 0;
-        for i in 0..vertices.min(LANES) {
-            let at = first + i * stride;
-            if HOLES && !self.vertex_has_data(level, phase, at, coder) {
+        places: impl Iterator<Item = usize>,
+        row: &Row,
+        coder: &mut C,
+    ) -> Line {
+        let mut line = Line::default();
+        for (i, at) in places.enumerate() {
+            if !self.vertex_has_data(level, phase, at, coder) {
                 let (x, y) = (at % PAGE_SAMPLES, at / PAGE_SAMPLES);
                 let fill = codec0::prediction(&self.page.heights, level, x, y);
                 self.page.heights[at] = fill;
-                line_of.heights[i] = fill.wrapping_sub(base);
+                line.heights[i] = fill.wrapping_sub(self.base);
                 continue;
             }
             let predicted = row.predicted[i];
-            let known = self.page.heights[at].wrapping_sub(base);
+            let known = self.page.heights[at].wrapping_sub(self.base);
             let missed = residual(coder, row.expected[i], known.wrapping_sub(predicted));
-            let height = predicted.wrapping_add(missed);
-            largest = largest.max(missed.unsigned_abs());
-            line_of.heights[i] = height;
-            line_of.residuals[i] = missed;
-            self.page.heights[at] = height.wrapping_add(base);
+            line.heights[i] = predicted.wrapping_add(missed);
+            line.residuals[i] = missed;
+            self.page.heights[at] = line.heights[i].wrapping_add(self.base);
         }
-        self.levels.put(phase, line, vertices, &line_of);
-        largest
+        line
     }
 
     /// A level's vertices as they are. Gives the largest span that they can have.
@@ -389,40 +481,25 @@ impl Traversal {
         let kind = usize::from(phase != Phase::Centres);
         self.has_data(at, MASK + 1 + 5 * kind + with_data, coder)
     }
+}
 
-    /// Whether all heights of a level are allowed.
-    fn check(&self, level: u8) -> Result<(), PageError> {
-        let step = level_step(level);
-        for row in (0..PAGE_SAMPLES).step_by(step) {
-            let row = &self.page.heights[row * PAGE_SAMPLES..][..PAGE_SAMPLES];
-            let largest = row
-                .iter()
-                .step_by(step)
-                .fold(0, |most, height| height.unsigned_abs().max(most));
-            // Heights have magnitudes of at most 2^31, and their signs do not matter here.
-            codec0::check_height(self.page.id, i64::from(largest))?;
-        }
-        if self.page.has_holes() {
-            self.check_range(step)?;
-        }
-        Ok(())
+/// Whether all heights down to a level are allowed. Those of parts that are missing are 0.
+fn check(page: &Page, level: u8) -> Result<(), PageError> {
+    let sizes = page.heights.iter().map(|height| height.unsigned_abs());
+    // Heights have magnitudes of at most 2^31, and their signs do not matter here.
+    codec0::check_height(page.id, i64::from(sizes.fold(0, u32::max)))?;
+    if !page.has_holes() {
+        return Ok(());
     }
-
-    fn check_range(&self, step: usize) -> Result<(), PageError> {
-        let page = &self.page;
-        let samples = (0..PAGE_SAMPLES).step_by(step).flat_map(|row| {
-            (0..PAGE_SAMPLES)
-                .step_by(step)
-                .map(move |column| row * PAGE_SAMPLES + column)
-        });
-        let outside = samples
-            .filter(|&at| page.is_valid(at))
-            .map(|at| page.heights[at])
-            .find(|height| !(page.range.lo..=page.range.hi).contains(height));
-        match outside {
-            Some(height) => Err(page.value("height", i64::from(height), "the page's range")),
-            None => Ok(()),
-        }
+    let places = || (0..PAGE_SAMPLES).step_by(level_step(level));
+    let samples = places().flat_map(|row| places().map(move |column| row * PAGE_SAMPLES + column));
+    let outside = samples
+        .filter(|&at| page.is_valid(at))
+        .map(|at| page.heights[at])
+        .find(|height| !(page.range.lo..=page.range.hi).contains(height));
+    match outside {
+        Some(height) => Err(page.value("height", i64::from(height), "the page's range")),
+        None => Ok(()),
     }
 }
 

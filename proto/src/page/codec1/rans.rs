@@ -7,7 +7,8 @@
 //! at [`LOW`]: as long as nothing has been written there is nothing to take back, so a reader that
 //! has run out of bytes goes on without. Hence a stream costs nothing but its contents.
 
-use super::symbols::TABLES;
+use super::levels::LANES;
+use super::symbols::{self, DIRECT, TABLES, unzigzag};
 use super::tables::FREQUENCIES;
 
 /// Symbols of a table.
@@ -25,6 +26,9 @@ const MOST_BITS: u32 = 12;
 /// Something that codes symbols: encoder, decoder, or neither. Each call gives what is coded; the
 /// decoder pays no heed to what it is told. So one traversal of a page serves all of them.
 pub(super) trait Coder {
+    /// Whether it pays no heed to what it is told, and need not be told anything.
+    const DECODES: bool = false;
+
     /// A symbol of a table.
     fn symbol(&mut self, table: usize, symbol: u32) -> u32;
 
@@ -42,12 +46,24 @@ pub(super) trait Coder {
         }
         taken
     }
+
+    /// The first residuals of a line, of expected magnitudes.
+    fn residuals(&mut self, expected: &[u32; LANES], count: usize, of: &mut [i32; LANES])
+    where
+        Self: Sized,
+    {
+        for (residual, &expected) in of.iter_mut().zip(expected).take(count) {
+            *residual = symbols::residual(self, expected, *residual);
+        }
+    }
 }
 
 /// Codes nothing: what it is told is known.
 pub(super) struct Known;
 
 impl Coder for Known {
+    fn residuals(&mut self, _: &[u32; LANES], _: usize, _: &mut [i32; LANES]) {}
+
     fn symbol(&mut self, _: usize, symbol: u32) -> u32 {
         symbol
     }
@@ -59,8 +75,9 @@ impl Coder for Known {
 
 /// Where symbols lie, for one table.
 struct Lookup {
-    /// First slot of each symbol, and one past the last.
-    starts: [u16; SYMBOLS + 1],
+    /// First slot of each symbol, and its frequency in the upper half; 256, so that any byte has
+    /// a place.
+    places: [u32; 256],
     /// The symbol at each slot.
     symbols: [u8; SCALE],
 }
@@ -70,7 +87,7 @@ static LOOKUPS: [Lookup; TABLES] = lookups();
 
 const fn lookups() -> [Lookup; TABLES] {
     const NONE: Lookup = Lookup {
-        starts: [0; SYMBOLS + 1],
+        places: [0; 256],
         symbols: [0; SCALE],
     };
     let mut all = [NONE; TABLES];
@@ -78,8 +95,9 @@ const fn lookups() -> [Lookup; TABLES] {
     while table < TABLES {
         let (mut symbol, mut slot) = (0, 0);
         while symbol < SYMBOLS {
-            all[table].starts[symbol] = slot as u16;
-            let end = slot + FREQUENCIES[table][symbol] as usize;
+            let frequency = FREQUENCIES[table][symbol] as usize;
+            all[table].places[symbol] = (frequency << 16 | slot) as u32;
+            let end = slot + frequency;
             while slot < end {
                 all[table].symbols[slot] = symbol as u8;
                 slot += 1;
@@ -87,7 +105,6 @@ const fn lookups() -> [Lookup; TABLES] {
             symbol += 1;
         }
         assert!(slot == SCALE, "frequencies add up to the scale");
-        all[table].starts[SYMBOLS] = slot as u16;
         table += 1;
     }
     all
@@ -217,6 +234,38 @@ impl<'a> Decoder<'a> {
         }
     }
 
+    /// A residual, and what follows it, unless it is a rare one or the bytes may end in it.
+    #[inline(always)]
+    fn quick_residual(&self, state: u32, at: usize, expected: u32) -> Option<(i32, u32, usize)> {
+        let (table, shift) = symbols::residual_table(expected);
+        let (mut state, mut at, mut low) = (state, at, 0);
+        if shift > 0 {
+            (low, state, at) = self.quick_bits(state, at, shift)?;
+        }
+        let filled;
+        (filled, at) = self.refilled(state, at)?;
+        let (mut value, mut state) = step(filled, table);
+        if value >= DIRECT {
+            let (first, extra) = symbols::first_of(value)?;
+            let above;
+            (above, state, at) = self.quick_bits(state, at, extra)?;
+            value = first + above;
+        }
+        Some((unzigzag(value << shift | low), state, at))
+    }
+
+    #[inline(always)]
+    fn quick_bits(&self, state: u32, at: usize, n: u32) -> Option<(u32, u32, usize)> {
+        let (state, at) = self.refilled(state, at)?;
+        (n <= MOST_BITS).then_some((state & ((1 << n) - 1), state >> n, at))
+    }
+
+    /// Any residual.
+    #[inline(never)]
+    fn rare_residual(&mut self, expected: u32) -> i32 {
+        symbols::residual(self, expected, 0)
+    }
+
     /// Bytes taken so far.
     pub(super) fn position(&self) -> usize {
         self.at
@@ -224,6 +273,19 @@ impl<'a> Decoder<'a> {
 
     pub(super) fn state(&self) -> u32 {
         self.state
+    }
+
+    /// As [`refill`](Self::refill), without a branch on how many bytes are missing. `None` where
+    /// the bytes may end, and before the first one.
+    #[inline(always)]
+    fn refilled(&self, state: u32, at: usize) -> Option<(u32, usize)> {
+        let &[first, second] = self.bytes.get(at..)?.first_chunk()?;
+        let one = state << 8 | u32::from(first);
+        let two = state << 16 | u32::from(first) << 8 | u32::from(second);
+        let filled = if state < LOW { one } else { state };
+        let filled = if state < LOW >> 8 { two } else { filled };
+        let taken = usize::from(state < LOW) + usize::from(state < LOW >> 8);
+        (state >= LOW >> 16).then_some((filled, at + taken))
     }
 
     #[inline(always)]
@@ -238,17 +300,42 @@ impl<'a> Decoder<'a> {
     }
 }
 
+/// The symbol of a table that a state stands for, and the state that follows.
+#[inline(always)]
+fn step(state: u32, table: usize) -> (u32, u32) {
+    let lookup = &LOOKUPS[table];
+    let slot = state & (SCALE as u32 - 1);
+    let symbol = lookup.symbols[slot as usize];
+    let place = lookup.places[usize::from(symbol)];
+    let next = (state >> PRECISION) * (place >> 16) + slot - (place & 0xffff);
+    (u32::from(symbol), next)
+}
+
 impl Coder for Decoder<'_> {
+    const DECODES: bool = true;
+
     #[inline(always)]
     fn symbol(&mut self, table: usize, _: u32) -> u32 {
         self.refill();
-        let lookup = &LOOKUPS[table];
-        let slot = self.state & (SCALE as u32 - 1);
-        let symbol = lookup.symbols[slot as usize];
-        let start = u32::from(lookup.starts[symbol as usize]);
-        let end = u32::from(lookup.starts[symbol as usize + 1]);
-        self.state = (self.state >> PRECISION) * (end - start) + slot - start;
-        u32::from(symbol)
+        let (symbol, state) = step(self.state, table);
+        self.state = state;
+        symbol
+    }
+
+    /// Keeps the state in a register, as long as residuals are small and bytes are left.
+    #[inline(always)]
+    fn residuals(&mut self, expected: &[u32; LANES], count: usize, of: &mut [i32; LANES]) {
+        let (mut state, mut at) = (self.state, self.at);
+        for (residual, &expected) in of.iter_mut().zip(expected).take(count) {
+            if let Some(quick) = self.quick_residual(state, at, expected) {
+                (*residual, state, at) = quick;
+                continue;
+            }
+            (self.state, self.at) = (state, at);
+            *residual = self.rare_residual(expected);
+            (state, at) = (self.state, self.at);
+        }
+        (self.state, self.at) = (state, at);
     }
 
     #[inline(always)]

@@ -25,7 +25,7 @@ pub(super) const MASK: usize = KIND + 9;
 pub(super) const TABLES: usize = MASK + 11;
 
 /// Numbers below have a symbol of their own; above, half an octave has.
-const DIRECT: u32 = 16;
+pub(super) const DIRECT: u32 = 16;
 /// Any number, with all its bits.
 const ESCAPE: u32 = 30;
 /// In tables of lengths: this many bits or more.
@@ -39,9 +39,10 @@ pub(super) const fn unzigzag(v: u32) -> i32 {
     (v >> 1) as i32 ^ -((v & 1) as i32)
 }
 
-/// A residual of an expected magnitude, which is in 64ths.
+/// The table of residuals of an expected magnitude in 64ths, and how many low bits are coded
+/// without it.
 #[inline(always)]
-pub(super) fn residual(coder: &mut impl Coder, expected: u32, residual: i32) -> i32 {
+pub(super) fn residual_table(expected: u32) -> (usize, u32) {
     let expected = expected.max(1);
     let octave = expected.ilog2();
     // The bit below the highest one says which half of the octave it is.
@@ -51,12 +52,14 @@ pub(super) fn residual(coder: &mut impl Coder, expected: u32, residual: i32) -> 
         true => (context, 0),
         false => (SCALED + half, octave - SCALED / 2),
     };
-    unzigzag(scaled(
-        coder,
-        RESIDUAL + context as usize,
-        shift,
-        zigzag(residual),
-    ))
+    (RESIDUAL + context as usize, shift)
+}
+
+/// A residual of an expected magnitude, which is in 64ths.
+#[inline(always)]
+pub(super) fn residual(coder: &mut impl Coder, expected: u32, residual: i32) -> i32 {
+    let (table, shift) = residual_table(expected);
+    unzigzag(scaled(coder, table, shift, zigzag(residual)))
 }
 
 /// A number whose lowest `shift` bits are equally likely, and the rest of it is as a table says.
@@ -76,12 +79,19 @@ fn number(coder: &mut impl Coder, table: usize, value: u32) -> u32 {
     if symbol < DIRECT {
         return symbol;
     }
-    if symbol >= ESCAPE {
-        return coder.bits(32, value);
+    match first_of(symbol) {
+        Some((first, extra)) => {
+            first + coder.bits(extra, value.wrapping_sub(first) & ((1 << extra) - 1))
+        }
+        None => coder.bits(32, value),
     }
-    let extra = 3 + (symbol - DIRECT) / 2;
-    let first = (2 + symbol % 2) << extra;
-    first + coder.bits(extra, value.wrapping_sub(first) & ((1 << extra) - 1))
+}
+
+/// The lowest number of a half octave's symbol, and how many bits follow. `None` for the escape.
+#[inline(always)]
+pub(super) fn first_of(symbol: u32) -> Option<(u32, u32)> {
+    let extra = 3 + symbol.checked_sub(DIRECT)? / 2;
+    (symbol < ESCAPE).then_some(((2 + symbol % 2) << extra, extra))
 }
 
 fn symbol_of(table: usize, value: u32) -> u32 {

@@ -1,6 +1,7 @@
 //! The bytes of a checkpoint: what bands left for the level above, and sums.
 
-use super::super::level::{Above, Level};
+use super::super::above::Above;
+use super::super::level::Level;
 use super::super::quantise::HOLE;
 use super::super::rows::Stored;
 use escarp_proto::bytes::{Reader, put_varint, put_zigzag};
