@@ -2,7 +2,7 @@
 
 use escarp_proto::geometry::PageId;
 use escarp_proto::manifest::Manifest;
-use escarp_tiles::build::{BuildError, BuildOptions, Quantum, build};
+use escarp_tiles::build::{BuildError, BuildOptions, Coarsened, Quantum, Tolerances, Wish, build};
 use escarp_tiles::dataset::{Dataset, PageReader};
 use escarp_tiles::dem::{Crs, DemError, DemInfo, DemSource, Placement, Registration, SampleType};
 use std::path::{Path, PathBuf};
@@ -104,6 +104,26 @@ impl TempDataset {
             samples,
             folder,
         }
+    }
+
+    /// Builds a dataset from a function, stored no more exactly than it must be.
+    ///
+    /// # Panics
+    /// If it cannot be built.
+    pub fn coarse(
+        width: u32,
+        height: u32,
+        heights: impl Fn(u32, u32) -> f64 + Send + 'static,
+        tolerance_m: f64,
+    ) -> TempDataset {
+        let source = FunctionSource::new(width, height, heights);
+        let wish = Wish {
+            tolerance_m,
+            region: None,
+        };
+        let tolerances = Tolerances::open(&[wish], source.info()).expect("a tolerance");
+        let coarse = Coarsened::new(Box::new(source), 1.0, tolerances);
+        Self::build(&mut coarse.expect("it fits a grid"))
     }
 
     /// The dataset's folder.

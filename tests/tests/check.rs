@@ -294,7 +294,9 @@ fn a_survey_accounts_for_every_byte_and_every_slot() {
             let page = Page::decode(id, false, 5, record.bytes).unwrap();
             for slot in (0..=255).map(escarp_proto::geometry::Slot::from_index) {
                 match page.slot(slot) {
-                    ChildSlot::Full(error) => *by_hand.entry(error.0).or_default() += 1,
+                    ChildSlot::Full(error) | ChildSlot::Cut(error) => {
+                        *by_hand.entry(error.0).or_default() += 1
+                    }
                     ChildSlot::Mixed(_) => mixed += 1,
                     ChildSlot::Empty => empty += 1,
                 }

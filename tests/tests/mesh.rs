@@ -24,6 +24,11 @@ fn terrains() -> Vec<(&'static str, TempDataset)> {
     vec![
         ("hills", TempDataset::of(w, h, hills)),
         ("holed hills", TempDataset::of(w, h, holed_hills)),
+        ("coarse hills", TempDataset::coarse(w, h, hills, 25.0)),
+        (
+            "coarse holed hills",
+            TempDataset::coarse(w, h, holed_hills, 9.0),
+        ),
         ("cliff", TempDataset::of(w, h, cliff)),
         ("spike", TempDataset::of(w, h, spike)),
         ("flat", TempDataset::of(w, h, |_, _| 12.0)),

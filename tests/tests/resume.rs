@@ -4,7 +4,7 @@
 use escarp_tests::files::{contents, files, flip};
 use escarp_tests::programs::{Desk, program, run};
 use escarp_tests::terrain::{FunctionSource, Heights, TempDataset, hash, hills, holed_hills};
-use escarp_tiles::build::{BuildError, BuildOptions, build};
+use escarp_tiles::build::{BuildError, BuildOptions, Coarsened, Tolerances, Wish, build};
 use escarp_tiles::dataset::{Dataset, unfinished};
 use escarp_tiles::dem::{DemError, DemInfo, DemSource};
 use std::path::{Path, PathBuf};
@@ -112,6 +112,38 @@ fn a_build_stopped_by_a_bad_block_anywhere_goes_on_to_the_same_bytes() {
             }
         }
     }
+}
+
+#[test]
+fn a_resumed_build_with_a_tolerance_states_what_all_of_it_lost() {
+    // Steep in the north, flat in the south: the largest error is in what is not read again.
+    let heights: Heights = |x, y| f64::from(hash(x, y) % 9) * f64::from(y < 300) * 1.0;
+    let coarse = |reads_left| {
+        let sound = sound(heights);
+        let wish = Wish {
+            tolerance_m: 12.0,
+            region: None,
+        };
+        let tolerances = Tolerances::open(&[wish], sound.info()).unwrap();
+        let source = BadBlock { sound, reads_left };
+        Coarsened::new(Box::new(source), 1.0, tolerances).unwrap()
+    };
+    let folder = TempDir::new().unwrap();
+    let whole = folder.path().join("whole.escarp");
+    build_at(&whole, &mut coarse(u32::MAX), options(u64::MAX, false), 1).unwrap();
+    let stated = Dataset::open(&whole).unwrap().manifest().storage_error_m;
+    assert!(stated > 0.0);
+    let mut stopped = 0;
+    for reads in 1..200 {
+        let path = folder.path().join(format!("{reads}.escarp"));
+        if build_at(&path, &mut coarse(reads), options(1, false), 2).is_ok() {
+            break;
+        }
+        stopped += 1;
+        build_at(&path, &mut coarse(u32::MAX), options(1, true), 2).unwrap();
+        assert_eq!(contents(&path), contents(&whole), "after {reads} reads");
+    }
+    assert!(stopped > 5);
 }
 
 #[test]

@@ -165,9 +165,8 @@ impl MeshTree {
             let Some((above, slot)) = id.parent() else {
                 continue;
             };
-            let finest = self.grid.is_finest(id);
             let parent: Option<&Page> = self.page(above);
-            let implied = parent.and_then(|parent| parent.implied_child(slot, finest));
+            let implied = parent.and_then(|parent| parent.implied_child(slot, self.grid));
             if let Some(page) = implied.filter(|_| !self.by_id.contains_key(&id)) {
                 linked |= self.link(page).is_ok();
             }

@@ -350,7 +350,7 @@ impl Grid {
                 kind,
                 range,
             },
-            ChildSlot::Full(error) => {
+            ChildSlot::Full(error) | ChildSlot::Cut(error) => {
                 let corners = [0, 1, self.side, self.side + 1];
                 let heights = corners.map(|corner| self.heights[south_west + corner] as i32);
                 let range = heights.into_iter().fold(Range::EMPTY, Range::with);

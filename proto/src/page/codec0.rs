@@ -6,7 +6,7 @@
 //! prediction itself is the fill, so that prediction never needs a special case. Decoding is safe
 //! on untrusted input: it allocates one page, whatever the bytes say.
 
-use super::record::{self, Codec, HOLES, RecordHeader, Tag};
+use super::record::{self, CUTS, Codec, HOLES, RecordHeader, Tag};
 use super::{
     ChildSlot, MAX_HEIGHT, MAX_SPAN, PAGE_AREA, Page, PageError, Range, SLOT_PART, codec1,
     last_part, level_step,
@@ -14,6 +14,9 @@ use super::{
 use crate::bytes::{Reader, put_varint, put_zigzag};
 use crate::err8::Err8;
 use crate::geometry::{PAGE_LEVELS, PAGE_SAMPLES, PAGE_SLOTS, PageId};
+
+/// Kind of a slot that is cut; the others are those of [`Kind`](super::Kind).
+const CUT: u8 = 3;
 
 /// The page's corners: south-west, south-east, north-west, north-east.
 pub(super) const CORNERS: [usize; 4] =
@@ -102,7 +105,8 @@ pub(super) fn encode(page: &Page) -> Vec<u8> {
     let parts: Vec<Vec<u8>> = (1..=page.last_part())
         .map(|part| encode_part(page, part))
         .collect();
-    let mut out = vec![if page.has_holes() { HOLES } else { 0 }];
+    let flag = |set, bit| if set { bit } else { 0 };
+    let mut out = vec![flag(page.has_holes(), HOLES) | flag(page.has_cuts, CUTS)];
     for part in &parts {
         put_varint(part.len() as u64, &mut out);
     }
@@ -156,17 +160,25 @@ fn put_mask(page: &Page, part: u8, out: &mut Vec<u8>) {
     }));
 }
 
+/// Two bits for what a slot is.
+const fn kind_code(slot: &ChildSlot) -> u8 {
+    match slot {
+        ChildSlot::Cut(_) => CUT,
+        _ => slot.kind() as u8,
+    }
+}
+
 fn encode_slots(page: &Page, out: &mut Vec<u8>) {
     let Some(slots) = &page.slots else { return };
-    if page.has_holes() {
+    if page.has_holes() || page.has_cuts {
         for four in slots.chunks(4) {
-            let pair = |(i, slot): (usize, &ChildSlot)| (slot.kind() as u8) << (2 * i);
+            let pair = |(i, slot): (usize, &ChildSlot)| kind_code(slot) << (2 * i);
             out.push(four.iter().enumerate().map(pair).sum());
         }
     }
     for slot in slots.iter() {
         match *slot {
-            ChildSlot::Full(error) => out.push(error.0),
+            ChildSlot::Full(error) | ChildSlot::Cut(error) => out.push(error.0),
             ChildSlot::Empty => {}
             ChildSlot::Mixed(range) => {
                 put_zigzag(i64::from(range.lo) - i64::from(page.range.lo), out);
@@ -183,8 +195,9 @@ impl Page {
     /// [`PageError`] if anything is cut short, left over or out of range.
     pub fn decode(id: PageId, finest: bool, parts: u8, bytes: &[u8]) -> Result<Page, PageError> {
         let mut page = Page::blank(id, finest);
-        let tag = Tag::read(id, bytes)?;
+        let tag = Tag::read(id, finest, bytes)?;
         page.valid = tag.has_holes.then(|| Box::new([true; PAGE_AREA]));
+        page.has_cuts = tag.has_cuts;
         let start = match tag.codec {
             Codec::Plain => {
                 let header = RecordHeader::read(id, finest, bytes)?;
@@ -294,7 +307,7 @@ impl Page {
     }
 
     fn decode_slots(&mut self, reader: &mut Reader<'_>) -> Result<(), PageError> {
-        let kinds = match self.has_holes() {
+        let kinds = match self.has_holes() || self.has_cuts {
             true => Some(
                 reader
                     .take(PAGE_SLOTS / 4)
@@ -306,12 +319,18 @@ impl Page {
         for (i, slot) in slots.iter_mut().enumerate() {
             *slot = match kinds.map_or(0, |kinds| kinds[i / 4] >> (2 * (i % 4)) & 3) {
                 0 => ChildSlot::Full(Err8(reader.u8().ok_or(self.short("slot error"))?)),
-                1 => ChildSlot::Empty,
-                2 => ChildSlot::Mixed(self.decode_slot_range(reader)?),
-                kind => return Err(self.value("slot kind", i64::from(kind), "0..=2")),
+                CUT if self.has_cuts => {
+                    ChildSlot::Cut(Err8(reader.u8().ok_or(self.short("slot error"))?))
+                }
+                1 if self.has_holes() => ChildSlot::Empty,
+                2 if self.has_holes() => ChildSlot::Mixed(self.decode_slot_range(reader)?),
+                kind => return Err(self.value("slot kind", i64::from(kind), "those of its flags")),
             };
         }
         self.slots = Some(slots);
+        if self.has_cuts && !self.any_cut() {
+            return Err(self.value("slots that are cut", 0, "at least 1, by its flags"));
+        }
         Ok(())
     }
 

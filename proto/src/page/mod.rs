@@ -15,6 +15,7 @@ mod record;
 
 pub use bounds::{Bounds, BoxError, SquareErrors, square_index};
 pub use codec1::{CodedBits, SymbolCounts};
+pub use flat::{implied_heights, implied_slot};
 pub use record::{Codec, Record, RecordHeader, RevisionDigest, revision};
 
 use crate::err8::Err8;
@@ -127,6 +128,9 @@ pub enum ChildSlot {
     /// Surface everywhere, no further than this bound from the cell's two triangles.
     /// At zero nothing hangs below: the two triangles are the surface.
     Full(Err8),
+    /// Surface everywhere, as [`Full`](Self::Full) says, but nothing is stored below: it is what
+    /// the cell's four corners imply, interpolated page by page and rounded down.
+    Cut(Err8),
     /// No surface: nothing hangs below.
     #[default]
     Empty,
@@ -138,7 +142,7 @@ impl ChildSlot {
     /// What the cell holds.
     pub const fn kind(self) -> Kind {
         match self {
-            ChildSlot::Full(_) => Kind::Full,
+            ChildSlot::Full(_) | ChildSlot::Cut(_) => Kind::Full,
             ChildSlot::Empty => Kind::Empty,
             ChildSlot::Mixed(_) => Kind::Mixed,
         }
@@ -148,7 +152,7 @@ impl ChildSlot {
     pub const fn has_record(self) -> bool {
         match self {
             ChildSlot::Full(error) => error.0 > 0,
-            ChildSlot::Empty => false,
+            ChildSlot::Empty | ChildSlot::Cut(_) => false,
             ChildSlot::Mixed(_) => true,
         }
     }
@@ -213,6 +217,8 @@ pub struct Page {
     /// `rest[k - 1]`: how far the surface may be from the mesh of parts `1..=k`.
     rest: [Err8; PAGE_LEVELS as usize],
     slots: Option<Box<[ChildSlot; PAGE_SLOTS]>>,
+    /// Whether some of its slots are cut, known before they have arrived.
+    has_cuts: bool,
     /// While parts of a dense record are missing: where the decoder stands.
     stream: Option<codec1::Stream>,
 }
@@ -254,8 +260,10 @@ impl Page {
             range: Range::EMPTY,
             rest: [Err8(0); PAGE_LEVELS as usize],
             slots,
+            has_cuts: false,
             stream: None,
         };
+        page.has_cuts = page.any_cut();
         for (i, &height) in page.heights.iter().enumerate() {
             if page.is_valid(i) {
                 codec0::check_height(id, i64::from(height))?;
@@ -283,8 +291,14 @@ impl Page {
             range: Range::EMPTY,
             rest: [Err8(0); PAGE_LEVELS as usize],
             slots: None,
+            has_cuts: false,
             stream: None,
         }
+    }
+
+    fn any_cut(&self) -> bool {
+        let mut slots = self.slots.iter().flat_map(|slots| slots.iter());
+        slots.any(|slot| matches!(slot, ChildSlot::Cut(_)))
     }
 
     /// The range of all samples, and of everything below.
@@ -294,7 +308,9 @@ impl Page {
         (0..PAGE_SLOTS).fold(own, |range, i| {
             let slot = Slot::from_index(i as u8);
             range.union(match self.slot(slot) {
-                ChildSlot::Full(error) => self.cell_range(slot).widened(error.bound()),
+                ChildSlot::Full(error) | ChildSlot::Cut(error) => {
+                    self.cell_range(slot).widened(error.bound())
+                }
                 ChildSlot::Mixed(below) => below,
                 ChildSlot::Empty => Range::EMPTY,
             })

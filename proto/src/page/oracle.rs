@@ -1,7 +1,7 @@
 //! Naive oracles and properties of pages: every bound is held against a scan of all samples.
 
 use super::*;
-use crate::geometry::{Edge, Quadrant};
+use crate::geometry::{Edge, GridLevels, Quadrant};
 use proptest::prelude::*;
 
 type Samples = [Option<i32>; PAGE_AREA];
@@ -77,6 +77,30 @@ fn page_id() -> PageId {
     PageId::new(8, 37, 90).unwrap()
 }
 
+/// A grid whose finest pages are the children of [`page_id`].
+fn grid() -> GridLevels {
+    GridLevels::new(16).unwrap()
+}
+
+/// A page above two more levels of pages, and the finest samples below a cell, row by row.
+fn expanded(page: &Page, slot: Slot) -> Vec<i32> {
+    let grid = GridLevels::new(20).unwrap();
+    let child = page.implied_child(slot, grid).unwrap();
+    let side = PAGE_CELLS * PAGE_CELLS + 1;
+    let mut samples = vec![0; side * side];
+    for i in 0..PAGE_SLOTS {
+        let below = Slot::from_index(i as u8);
+        let finest = child.implied_child(below, grid).unwrap();
+        let (column, row) = below.position();
+        for at in 0..PAGE_AREA {
+            let x = column * PAGE_CELLS + at % PAGE_SAMPLES;
+            let y = row * PAGE_CELLS + at / PAGE_SAMPLES;
+            samples[y * side + x] = finest.height(at);
+        }
+    }
+    samples
+}
+
 fn terrain() -> impl Strategy<Value = Samples> {
     let smooth =
         (any::<i16>(), any::<i8>(), any::<i8>(), any::<i8>()).prop_map(|(base, a, b, c)| {
@@ -116,10 +140,17 @@ fn holed() -> impl Strategy<Value = Samples> {
 fn slots() -> impl Strategy<Value = Box<[ChildSlot; PAGE_SLOTS]>> {
     let slot = prop_oneof![
         8 => any::<u8>().prop_map(|code| ChildSlot::Full(Err8(code))),
+        1 => any::<u8>().prop_map(|code| ChildSlot::Cut(Err8(code))),
         1 => Just(ChildSlot::Empty),
         1 => (-5000..5000i32, 0..90).prop_map(|(lo, span)| ChildSlot::Mixed(Range { lo, hi: lo + span })),
     ];
-    prop::collection::vec(slot, PAGE_SLOTS).prop_map(|v| Box::new(std::array::from_fn(|i| v[i])))
+    let full = prop_oneof![
+        any::<u8>().prop_map(|code| ChildSlot::Full(Err8(code))),
+        any::<u8>().prop_map(|code| ChildSlot::Cut(Err8(code))),
+    ];
+    let any_slots = prop::collection::vec(slot, PAGE_SLOTS);
+    prop_oneof![any_slots, prop::collection::vec(full, PAGE_SLOTS)]
+        .prop_map(|v| Box::new(std::array::from_fn(|i| v[i])))
 }
 
 fn codecs() -> impl Strategy<Value = Codec> {
@@ -312,13 +343,123 @@ proptest! {
     }
 }
 
+proptest! {
+    #[test]
+    fn below_a_cut_cell_the_surface_is_within_the_bound_and_neighbours_share_their_border(
+        samples in terrain(), at in 0u8..255, rounded: bool,
+    ) {
+        // Of corners that are multiples of 256 quanta nothing is rounded.
+        let samples = samples.map(|h| h.map(|h| if rounded { h } else { h / 256 * 256 }));
+        let cell = Slot::from_index(at);
+        let (column, row) = cell.position();
+        prop_assume!(column < 15);
+        let slots = Box::new([ChildSlot::Cut(Err8::covering(2).unwrap()); PAGE_SLOTS]);
+        let page = Page::new(page_id(), &samples, Some(slots)).unwrap();
+        let below = expanded(&page, cell);
+        let east = expanded(&page, Slot::at(column + 1, row));
+        let side = (PAGE_CELLS * PAGE_CELLS) as i64;
+        let width = side as usize + 1;
+        let corner = |dx, dy| i64::from(page.height((row + dy) * PAGE_SAMPLES + column + dx));
+        let corners = [corner(0, 0), corner(1, 0), corner(0, 1), corner(1, 1)];
+        let rises = (column + row) % 2 == 0;
+        for (i, height) in below.iter().enumerate() {
+            let (u, v) = ((i % width) as i64, (i / width) as i64);
+            let plane = flat::two_triangles(corners, rises, (u, v), side);
+            let down = plane - side * i64::from(*height);
+            prop_assert!((0..2 * side).contains(&down));
+            prop_assert!(rounded || down == 0);
+        }
+        for v in 0..width {
+            prop_assert_eq!(below[v * width + width - 1], east[v * width]);
+        }
+    }
+
+    #[test]
+    fn a_page_is_cut_exactly_if_it_is_what_its_corners_imply(
+        corners in prop::array::uniform4(-3000..3000i32), wrong in prop::option::of(0..PAGE_AREA), evenly: bool,
+    ) {
+        let corners = corners.map(|h| if evenly { h / 16 * 16 } else { h });
+        let id = page_id().child(Slot::at(2, 7)).unwrap();
+        let implied = implied_heights(id, corners);
+        let mut heights = implied;
+        if let Some(at) = wrong {
+            heights[at] += 1;
+        }
+        let told = implied_slot(id, grid(), &heights, None);
+        let page = Page::new(id, &heights.map(Some), None).unwrap();
+        let bounds = Bounds::derive(&page, None);
+        if let Some(slot) = told {
+            // Its bound is one that the page itself would have.
+            let (ChildSlot::Full(error) | ChildSlot::Cut(error)) = slot else { panic!("{slot:?}") };
+            let own = bounds.box_error(0, 0, 0).error;
+            prop_assert!(own <= error.bound(), "{own} {error:?}");
+            prop_assert_eq!(slot == ChildSlot::Full(Err8(0)), own == 0);
+            let slots = Box::new([slot; PAGE_SLOTS]);
+            let flat: Samples = [Some(0); PAGE_AREA];
+            let mut above = Page::new(page_id(), &flat, Some(slots)).unwrap();
+            for (i, at) in [0, 16, 272, 288].into_iter().enumerate() {
+                let corner = (7 + i / 2) * PAGE_SAMPLES + 2 + i % 2;
+                above.heights[corner] = page.height(at);
+            }
+            let child = above.implied_child(Slot::at(2, 7), grid()).unwrap();
+            prop_assert!((0..PAGE_AREA).all(|i| child.height(i) == page.height(i)));
+        } else {
+            prop_assert!(wrong.is_some());
+        }
+        // A wrong corner makes another page, that may be one of its own corners.
+        let is_corner = wrong.is_some_and(|at| [0, 16, 272, 288].contains(&at));
+        prop_assert!(wrong.is_none() || is_corner || told.is_none());
+    }
+}
+
+#[test]
+fn a_page_is_not_cut_above_one_that_is_stored() {
+    let id = PageId::new(4, 3, 2).unwrap();
+    let samples = implied_heights(id, [5, 9, 100, 7]);
+    let cut = ChildSlot::Cut(Err8(1));
+    let with = |slot| {
+        let mut slots = [cut; PAGE_SLOTS];
+        slots[77] = slot;
+        implied_slot(id, grid(), &samples, Some(&slots))
+    };
+    let three = Err8::covering(3).unwrap();
+    assert_eq!(with(cut), Some(ChildSlot::Cut(three)));
+    assert_eq!(with(ChildSlot::Full(Err8(0))), Some(ChildSlot::Cut(three)));
+    assert_eq!(with(ChildSlot::Full(Err8(1))), None);
+    assert_eq!(with(ChildSlot::Empty), None);
+    assert_eq!(with(ChildSlot::Mixed(Range { lo: 0, hi: 9 })), None);
+}
+
+#[test]
+fn a_record_that_claims_cut_slots_has_some() {
+    let samples = [Some(3); PAGE_AREA];
+    let mut slots = Box::new([ChildSlot::Full(Err8(4)); PAGE_SLOTS]);
+    slots[9] = ChildSlot::Cut(Err8(2));
+    let page = Page::new(page_id(), &samples, Some(slots)).unwrap();
+    let mut bytes = Record::encode(&page, Codec::Plain).bytes().to_vec();
+    assert_eq!(Page::decode(page.id(), false, 5, &bytes), Ok(page.clone()));
+    // Two bits a slot; slot 9 is in byte 2 of the kinds.
+    let kinds = bytes.len() - PAGE_SLOTS - PAGE_SLOTS / 4;
+    assert_eq!(bytes[kinds + 2], 3 << 2);
+    for wrong in [0, 1 << 2, 2 << 2] {
+        bytes[kinds + 2] = wrong;
+        assert!(Page::decode(page.id(), false, 5, &bytes).is_err());
+    }
+    let finest = Page::new(page_id(), &samples, None).unwrap();
+    for codec in [Codec::Plain, Codec::Dense] {
+        let mut bytes = Record::encode(&finest, codec).bytes().to_vec();
+        bytes[0] |= 0x40;
+        assert!(RecordHeader::read(finest.id(), true, &bytes).is_err());
+    }
+}
+
 #[test]
 fn below_a_flat_cell_the_parents_triangles_are_the_surface() {
     let samples =
         std::array::from_fn(|i| Some(((i % PAGE_SAMPLES) * 32 + (i / PAGE_SAMPLES) * 16) as i32));
     let slots = Box::new([ChildSlot::Full(Err8(0)); PAGE_SLOTS]);
     let parent = Page::new(page_id(), &samples, Some(slots)).unwrap();
-    let child = parent.implied_child(Slot::at(3, 5), true).unwrap();
+    let child = parent.implied_child(Slot::at(3, 5), grid()).unwrap();
     for i in 0..PAGE_AREA {
         let (x, y) = (3 * 16 + i % PAGE_SAMPLES, 5 * 16 + i / PAGE_SAMPLES);
         assert_eq!(child.height(i), (x * 2 + y) as i32);

@@ -86,7 +86,6 @@ impl RevisionDigest {
 /// Part 0 of a record.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RecordHeader {
-    pub(super) has_holes: bool,
     pub(super) range: Range,
     /// `ends[k]`: where part `k` ends; `ends[0]` is the header's own length.
     ends: Vec<usize>,
@@ -96,6 +95,8 @@ pub struct RecordHeader {
 pub(super) const HOLES: u8 = 0x10;
 /// Bit of the tag byte: heights are stored as they are.
 pub(super) const RAW: u8 = 0x20;
+/// Bit of the tag byte: some of the page's slots are cut.
+pub(super) const CUTS: u8 = 0x40;
 const CODEC: u8 = 0x0f;
 
 /// What a record's first byte says.
@@ -103,12 +104,13 @@ const CODEC: u8 = 0x0f;
 pub(super) struct Tag {
     pub(super) codec: Codec,
     pub(super) has_holes: bool,
+    pub(super) has_cuts: bool,
     /// Heights are stored as they are.
     pub(super) is_raw: bool,
 }
 
 impl Tag {
-    pub(super) fn read(page: PageId, record: &[u8]) -> Result<Tag, PageError> {
+    pub(super) fn read(page: PageId, finest: bool, record: &[u8]) -> Result<Tag, PageError> {
         let value = |field, found, allowed| PageError::Value {
             page,
             field,
@@ -120,9 +122,13 @@ impl Tag {
             .ok_or(PageError::Short { page, field: "tag" })?;
         let codec = tag & CODEC;
         let codec = Codec::from_u8(codec).ok_or(value("codec", i64::from(codec), "0 or 1"))?;
+        let cuts = if finest { 0 } else { CUTS };
         let (flags, allowed) = match codec {
-            Codec::Plain => (HOLES, "0 or 1"),
-            Codec::Dense => (HOLES | RAW, "0..=3"),
+            Codec::Plain => (HOLES | cuts, "holes, or cuts in a page with slots"),
+            Codec::Dense => (
+                HOLES | RAW | cuts,
+                "holes, raw, or cuts in a page with slots",
+            ),
         };
         if tag & !(CODEC | flags) != 0 {
             return Err(value("flags", i64::from(tag >> 4), allowed));
@@ -130,6 +136,7 @@ impl Tag {
         Ok(Tag {
             codec,
             has_holes: tag & HOLES != 0,
+            has_cuts: tag & CUTS != 0,
             is_raw: tag & RAW != 0,
         })
     }
@@ -144,12 +151,11 @@ impl RecordHeader {
     /// not say how long its parts are: it is decoded, which may fail for all that
     /// [`Page::decode`] may fail for.
     pub fn read(page: PageId, finest: bool, record: &[u8]) -> Result<RecordHeader, PageError> {
-        let tag = Tag::read(page, record)?;
+        let tag = Tag::read(page, finest, record)?;
         let has_holes = tag.has_holes;
         match tag.codec {
             Codec::Plain => read_plain(page, finest, has_holes, record),
             Codec::Dense => Ok(RecordHeader {
-                has_holes,
                 range: Range::EMPTY,
                 ends: codec1::part_ends(page, finest, tag, record, last_part(finest))?,
             }),
@@ -169,7 +175,7 @@ impl RecordHeader {
         first: u8,
         last: u8,
     ) -> Result<Option<Bytes<usize>>, PageError> {
-        let tag = Tag::read(page, record)?;
+        let tag = Tag::read(page, finest, record)?;
         if first > last || last > last_part(finest) {
             return Ok(None);
         }
@@ -246,11 +252,7 @@ fn read_plain(
     let ends = ends_of(reader.position(), &lengths);
     match ends.last() {
         Some(&end) if end > MAX_RECORD_BYTES => Err(value("record length", end as i64, "0..=8192")),
-        _ => Ok(RecordHeader {
-            has_holes,
-            range,
-            ends,
-        }),
+        _ => Ok(RecordHeader { range, ends }),
     }
 }
 

@@ -9,7 +9,8 @@
 mod bands;
 mod replay;
 
-use super::level::{Above, Level};
+use super::above::Above;
+use super::level::Level;
 use super::rows::Stored;
 use super::{BuildError, BuildOptions};
 use crate::dataset::{DatasetError, DatasetWriter, Journal, MAX_ENTRY_BYTES};
@@ -82,6 +83,7 @@ impl Checkpoints {
     ) -> Result<(), BuildError> {
         let mut replay = Replay {
             path: self.path.clone(),
+            samples: finest.samples(),
             level: finest,
             index: Vec::new(),
             pages: 0,

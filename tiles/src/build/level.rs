@@ -1,290 +1,35 @@
 //! All pages of one level, band by band.
 
+use super::above::{Above, Slots};
+use super::band::{Band, Bands, MOST_AHEAD};
 use super::checkpoint::{Checkpoints, Done};
 use super::quantise::HOLE;
 use super::rows::Rows;
 use super::{BuildError, Progress};
 use crate::dataset::{DatasetWriter, FamilyBytes, FamilyId};
-use escarp_proto::err8::Err8;
 use escarp_proto::geometry::{
     GridLevels, PAGE_CELLS, PAGE_LEVELS, PAGE_SAMPLES, PAGE_SLOTS, PageId, Slot,
 };
-use escarp_proto::page::{ChildSlot, Codec, Kind, PAGE_AREA, Page, PageError, Range, Record};
+use escarp_proto::page::{
+    ChildSlot, Codec, Kind, PAGE_AREA, Page, PageError, Record, implied_slot,
+};
 use rayon::prelude::*;
-use std::collections::HashMap;
 
 /// Cells on the side of a family.
 pub(crate) const FAMILY_CELLS: usize = PAGE_CELLS * PAGE_CELLS;
 
-/// Child slots of a whole level, in little memory: one a page of the level below.
-#[derive(Debug)]
-pub(crate) struct Slots {
-    /// The first column and row.
-    first: (usize, usize),
-    columns: usize,
-    kinds: Vec<Kind>,
-    errors: Vec<Err8>,
-    mixed: HashMap<usize, Range>,
-}
-
-impl Slots {
-    fn new(columns: usize, rows: usize) -> Slots {
-        Self::window((0, 0), columns, rows)
-    }
-
-    /// Of a part of a level.
-    pub(crate) fn window(first: (usize, usize), columns: usize, rows: usize) -> Slots {
-        Slots {
-            first,
-            columns,
-            kinds: vec![Kind::Empty; columns * rows],
-            errors: vec![Err8(0); columns * rows],
-            mixed: HashMap::new(),
-        }
-    }
-
-    pub(crate) fn set(&mut self, column: usize, row: usize, slot: ChildSlot) {
-        let at = (row - self.first.1) * self.columns + column - self.first.0;
-        self.kinds[at] = slot.kind();
-        match slot {
-            ChildSlot::Full(error) => self.errors[at] = error,
-            ChildSlot::Mixed(range) => {
-                self.mixed.insert(at, range);
-            }
-            ChildSlot::Empty => {}
-        }
-    }
-
-    /// Beyond the data there is nothing.
-    pub(crate) fn get(&self, column: usize, row: usize) -> ChildSlot {
-        let (column, row) = (column - self.first.0, row - self.first.1);
-        let at = row * self.columns + column;
-        if column >= self.columns || at >= self.kinds.len() {
-            return ChildSlot::Empty;
-        }
-        match self.kinds[at] {
-            Kind::Full => ChildSlot::Full(self.errors[at]),
-            Kind::Empty => ChildSlot::Empty,
-            Kind::Mixed => self
-                .mixed
-                .get(&at)
-                .map_or(ChildSlot::Empty, |&r| ChildSlot::Mixed(r)),
-        }
-    }
-}
-
-/// What a level leaves for the one above: a sample a page corner, a slot a page.
-#[derive(Debug)]
-pub(super) struct Above {
-    pub(super) width: usize,
-    pub(super) height: usize,
-    pub(super) heights: Vec<i32>,
-    pub(super) slots: Slots,
-}
-
-/// Rows of the samples that a level below left.
-pub(super) struct MemoryRows<'a> {
-    from: &'a Above,
-}
-
-impl<'a> MemoryRows<'a> {
-    pub(super) fn new(from: &'a Above) -> Self {
-        MemoryRows { from }
-    }
-}
-
-impl Rows for MemoryRows<'_> {
-    fn read(
-        &mut self,
-        first: u32,
-        n: u32,
-        stride: usize,
-        out: &mut [i32],
-    ) -> Result<(), BuildError> {
-        let width = self.from.width;
-        let rows = self.from.heights.chunks_exact(width).skip(first as usize);
-        for (out, row) in out.chunks_mut(stride).zip(rows.take(n as usize)) {
-            out[..width].copy_from_slice(row);
-        }
-        Ok(())
-    }
-}
-
 /// The pages of one level that the data reaches.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Level {
-    grid: GridLevels,
-    level: u8,
-    codec: Codec,
+    pub(super) grid: GridLevels,
+    pub(super) level: u8,
+    pub(super) codec: Codec,
     /// Samples at this level's spacing.
-    width: usize,
-    height: usize,
+    pub(super) width: usize,
+    pub(super) height: usize,
     /// Pages.
-    columns: usize,
-    rows: usize,
-}
-
-/// 257 rows of samples, southern row first, as wide as whole families; or a part of them.
-pub(crate) struct Band {
-    /// Its first column.
-    pub(crate) west: usize,
-    pub(crate) stride: usize,
-    pub(crate) samples: Vec<i32>,
-}
-
-/// Samples of a band up to which the next is read while one is encoded: wider ones take turns, so
-/// that memory is that of one.
-const MOST_AHEAD: usize = 1 << 25;
-
-/// The band that is encoded, and the one that is read meanwhile.
-struct Bands {
-    now: Band,
-    next: Option<Band>,
-}
-
-impl Bands {
-    fn new(level: &Level, most_ahead: usize) -> Bands {
-        let now = Band::new(level);
-        let next = (now.samples.len() <= most_ahead).then(|| Band::new(level));
-        Bands { now, next }
-    }
-
-    /// Reads the first band; the southern row of the one before it is where a band has its own.
-    fn read(
-        &mut self,
-        level: &Level,
-        number: usize,
-        rows: &mut dyn Rows,
-    ) -> Result<(), BuildError> {
-        self.now.carry_over();
-        self.now.fill_below(level, number, rows)
-    }
-
-    /// Goes on to the next band.
-    fn advance(
-        &mut self,
-        level: &Level,
-        number: usize,
-        rows: &mut dyn Rows,
-    ) -> Result<(), BuildError> {
-        match &mut self.next {
-            Some(next) => {
-                std::mem::swap(&mut self.now, next);
-                Ok(())
-            }
-            None => self.read(level, number, rows),
-        }
-    }
-}
-
-impl Band {
-    fn new(level: &Level) -> Band {
-        let stride = level.columns.div_ceil(PAGE_CELLS) * FAMILY_CELLS + 1;
-        Band {
-            west: 0,
-            stride,
-            samples: vec![HOLE; stride * (FAMILY_CELLS + 1)],
-        }
-    }
-
-    /// Makes the southern row the northern one.
-    fn carry_over(&mut self) {
-        let stride = self.stride;
-        self.samples.copy_within(..stride, FAMILY_CELLS * stride);
-    }
-
-    /// Reads a band. Its northern row is the southern row of the band before.
-    fn fill(
-        &mut self,
-        level: &Level,
-        number: usize,
-        before: &Band,
-        rows: &mut dyn Rows,
-    ) -> Result<(), BuildError> {
-        let stride = self.stride;
-        self.samples[FAMILY_CELLS * stride..].copy_from_slice(&before.samples[..stride]);
-        self.fill_below(level, number, rows)
-    }
-
-    /// Reads all rows but the northern one, and that too if there is no band before. What lies
-    /// beyond the data is, and stays, a hole.
-    fn fill_below(
-        &mut self,
-        level: &Level,
-        number: usize,
-        rows: &mut dyn Rows,
-    ) -> Result<(), BuildError> {
-        let first = number * FAMILY_CELLS;
-        let is_northern = first + FAMILY_CELLS + 1 >= level.height;
-        let n = if is_northern {
-            level.height - first
-        } else {
-            FAMILY_CELLS
-        };
-        if n < FAMILY_CELLS {
-            self.samples[n * self.stride..FAMILY_CELLS * self.stride].fill(HOLE);
-        }
-        if !rows.may_have_data(first as u32, n as u32) {
-            self.samples[..n * self.stride].fill(HOLE);
-            return Ok(());
-        }
-        rows.read(first as u32, n as u32, self.stride, &mut self.samples)
-    }
-
-    fn sample(&self, x: usize, y: usize) -> Option<i32> {
-        let x = x.checked_sub(self.west)?;
-        let height = *self.samples.get(y * self.stride + x)?;
-        (x < self.stride && height != HOLE).then_some(height)
-    }
-
-    /// Whether all samples of the family that starts at a column are holes, borders included.
-    fn is_empty_below(&self, column: usize) -> bool {
-        self.samples.chunks_exact(self.stride).all(|row| {
-            row[column..=column + FAMILY_CELLS]
-                .iter()
-                .all(|&h| h == HOLE)
-        })
-    }
-
-    /// Whether a sample is a corner of a valid finest triangle, as far as the band shows. Each of
-    /// the four cells around it has one triangle with a right angle at the sample or opposite it,
-    /// and, where the cell's diagonal starts at the sample, two.
-    fn is_on_surface(&self, x: usize, y: usize) -> bool {
-        let at = |dx: i32, dy: i32| {
-            let place = (
-                x.checked_add_signed(dx as isize),
-                y.checked_add_signed(dy as isize),
-            );
-            matches!(place, (Some(x), Some(y)) if self.sample(x, y).is_some())
-        };
-        let diagonal_starts_here = (x + y).is_multiple_of(2);
-        [(1, 1), (-1, 1), (-1, -1), (1, -1)]
-            .into_iter()
-            .any(|(dx, dy)| {
-                let (beside, above, across) = (at(dx, 0), at(0, dy), at(dx, dy));
-                if diagonal_starts_here {
-                    across && (beside || above)
-                } else {
-                    beside && above
-                }
-            })
-    }
-
-    /// The slot of a page without any valid triangle: nothing is lost, so a page that holds
-    /// samples which are on no triangle of any page is stored for their sake. Of samples that
-    /// pages share, the page to the north-east counts, if there is one.
-    fn lone_samples(&self, (x, y): (usize, usize), (columns, rows): (usize, usize)) -> ChildSlot {
-        let lone = (0..columns * rows)
-            .map(|i| (x + i % columns, y + i / columns))
-            .filter(|&(x, y)| self.sample(x, y).is_some() && !self.is_on_surface(x, y))
-            .filter_map(|(x, y)| self.sample(x, y))
-            .fold(Range::EMPTY, Range::with);
-        if lone.is_empty() {
-            ChildSlot::Empty
-        } else {
-            ChildSlot::Mixed(lone)
-        }
-    }
+    pub(super) columns: usize,
+    pub(super) rows: usize,
 }
 
 /// The pages of a family: encoded, and what each leaves for the level above.
@@ -327,6 +72,17 @@ impl Level {
     /// Bands of families.
     pub(crate) const fn bands(&self) -> usize {
         self.rows.div_ceil(PAGE_CELLS)
+    }
+
+    /// Whether a family is one of the grid's, of any level.
+    pub(super) fn has(&self, family: FamilyId) -> bool {
+        let page = family.page(Slot::from_index(0));
+        page.is_some_and(|page| self.grid.holds(page))
+    }
+
+    /// Samples that the data has at this level.
+    pub(super) const fn samples(&self) -> u64 {
+        self.width as u64 * self.height as u64
     }
 
     /// Columns and rows of pages.
@@ -458,8 +214,8 @@ impl Level {
         slots: Option<&Slots>,
     ) -> Result<(Option<Vec<u8>>, ChildSlot), PageError> {
         let (made, own) = self.page(band, page, band_row, slots)?;
-        let is_stored = own.has_record() || page == PageId::ROOT;
-        let record = is_stored.then(|| Record::encode(&made, self.codec).bytes().to_vec());
+        let made = made.filter(|_| own.has_record() || page == PageId::ROOT);
+        let record = made.map(|made| Record::encode(&made, self.codec).bytes().to_vec());
         Ok((record, own))
     }
 
@@ -480,13 +236,14 @@ impl Level {
             })
     }
 
+    /// A page, unless its parent's slot says all that there is to say of it.
     fn page(
         &self,
         band: &Band,
         page: PageId,
         band_row: usize,
         slots: Option<&Slots>,
-    ) -> Result<(Page, ChildSlot), PageError> {
+    ) -> Result<(Option<Page>, ChildSlot), PageError> {
         let (x, y) = (page.square().x as usize * PAGE_CELLS, band_row * PAGE_CELLS);
         let mut heights = Box::new([HOLE; PAGE_AREA]);
         for (row, heights) in heights.chunks_exact_mut(PAGE_SAMPLES).enumerate() {
@@ -504,6 +261,12 @@ impl Level {
                 slots.get(x + dx, y + dy)
             }))
         });
+        if page != PageId::ROOT
+            && valid.is_none()
+            && let Some(own) = implied_slot(page, self.grid, &heights, slots.as_deref())
+        {
+            return Ok((None, own));
+        }
         let finest = slots.is_none();
         let (page, slot) = Page::with_slot(page, heights, valid, slots)?;
         let own = match slot {
@@ -515,7 +278,7 @@ impl Level {
             }
             slot => slot,
         };
-        Ok((page, own))
+        Ok((Some(page), own))
     }
 
     /// Keeps the samples at page corners for the level above.
@@ -536,6 +299,7 @@ impl Level {
 
 #[cfg(test)]
 mod tests {
+    use super::super::above::MemoryRows;
     use super::*;
 
     #[test]

@@ -6,24 +6,30 @@
 //! The levels above are then made in the same way from memory. The next band is read meanwhile.
 //! Memory is bounded by two bands and a few bytes for each finest page; nothing is written but the dataset itself.
 
+mod above;
+mod band;
 mod checkpoint;
 mod level;
 mod quantise;
+mod regions;
 mod rows;
 
-pub(crate) use level::{Band, FAMILY_CELLS, Level, Slots};
+pub(crate) use above::Slots;
+pub(crate) use band::Band;
+pub(crate) use level::{FAMILY_CELLS, Level};
 pub(crate) use quantise::HOLE;
 pub use quantise::{Quantum, choose_quantum};
+pub use regions::{Coarsened, Tolerances, Wish};
 pub(crate) use rows::{Rows, SourceRows};
 
 use crate::dataset::{DatasetError, DatasetWriter, FilledRun, FilledRuns};
 use crate::dem::{self, DemError, DemSource, Fills};
 use crate::frame::{georef_of, scale_error_percent};
+use above::MemoryRows;
 use checkpoint::Checkpoints;
 use escarp_proto::geometry::GridLevels;
 use escarp_proto::manifest::{FORMAT, FileCheck, Manifest, VERSION};
 use escarp_proto::page::{Codec, PageError};
-use level::MemoryRows;
 use std::path::{Path, PathBuf};
 use thiserror::Error;
 
@@ -169,8 +175,16 @@ pub fn build(
     };
     manifest.valid_samples = stored.valid_samples;
     manifest.height_range = stored.range;
-    manifest.storage_error_m = stored.largest_error_m;
+    source.finish()?;
     manifest.resampling = source.resampling();
+    manifest.tolerances = source.tolerances();
+    let moved_m = manifest.tolerances.iter().map(|t| t.largest_error_m);
+    manifest.storage_error_m = stored.largest_error_m + moved_m.fold(0.0, f64::max);
+    if !manifest.tolerances.is_empty() && quantum_m.fract() != 0.0 {
+        // Differences of heights in such steps are rounded when they are taken.
+        let largest = stored.range.map_or(0, |[lo, hi]| lo.abs().max(hi.abs()));
+        manifest.storage_error_m += f64::from(largest) * quantum_m * 4.0 * f64::EPSILON;
+    }
     Ok(writer.publish(manifest)?)
 }
 

@@ -1,6 +1,7 @@
 //! `escarp-tiles build`.
 
 use super::progress::Progress;
+use super::regions::RegionArgs;
 use super::resume::{announce, identity, kept};
 use super::source::SourceArgs;
 use crate::build::{BuildOptions, CHECKPOINT_SAMPLES, Quantum, build};
@@ -66,6 +67,8 @@ pub(super) struct BuildArgs {
     json: bool,
     #[command(flatten)]
     source: SourceArgs,
+    #[command(flatten)]
+    regions: RegionArgs,
 }
 
 pub(super) fn run(args: &BuildArgs) -> Result<ExitCode> {
@@ -75,19 +78,21 @@ pub(super) fn run(args: &BuildArgs) -> Result<ExitCode> {
         .build_global()
         .context("cannot start the threads")?;
     let inputs = [&args.inputs[..], &args.more_inputs].concat();
-    let mut source = args.source.open(&inputs)?;
+    let source = args.source.open(&inputs)?;
     let name = |path: &PathBuf| {
         path.file_name()
             .unwrap_or_default()
             .to_string_lossy()
             .into_owned()
     };
+    let quantum = match (args.quantum, args.lossless) {
+        (Some(metres), _) => Quantum::Metres(metres),
+        (None, true) => Quantum::Lossless,
+        (None, false) => Quantum::Natural,
+    };
+    let (mut source, quantum) = args.regions.coarsen(source, quantum)?;
     let options = BuildOptions {
-        quantum: match (args.quantum, args.lossless) {
-            (Some(metres), _) => Quantum::Metres(metres),
-            (None, true) => Quantum::Lossless,
-            (None, false) => Quantum::Natural,
-        },
+        quantum,
         codec: Codec::from_u8(args.codec).unwrap_or(Codec::Dense),
         overwrite: args.overwrite,
         resume: args.resume,
@@ -170,6 +175,9 @@ pub(super) fn run(args: &BuildArgs) -> Result<ExitCode> {
         },
         rounded_up(manifest.storage_error_m)
     );
+    for tolerance in &manifest.tolerances {
+        println!("{}", super::info::describe_tolerance(tolerance));
+    }
     let voids = samples - manifest.valid_samples;
     if voids > 0 {
         let share = 100.0 * voids as f64 / samples as f64;

@@ -7,6 +7,7 @@ use crate::verify::survey;
 use anyhow::Result;
 use clap::Args;
 use escarp_proto::georef::Plane;
+use escarp_proto::manifest::Tolerance;
 use serde_json::json;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -78,6 +79,9 @@ pub(super) fn run(args: &InfoArgs) -> Result<ExitCode> {
         georef.quantum_m,
         super::build::rounded_up(manifest.storage_error_m)
     );
+    for tolerance in &manifest.tolerances {
+        println!("{}", describe_tolerance(tolerance));
+    }
     println!(
         "grid        {} levels, {} pages",
         manifest.grid_levels.get(),
@@ -97,6 +101,21 @@ pub(super) fn run(args: &InfoArgs) -> Result<ExitCode> {
     }
     print_disk(&on_disk);
     Ok(ExitCode::SUCCESS)
+}
+
+/// What a region was allowed, and what was made of it.
+pub(super) fn describe_tolerance(tolerance: &Tolerance) -> String {
+    let Tolerance {
+        tolerance_m,
+        region,
+        largest_error_m,
+    } = tolerance;
+    let largest_m = super::build::rounded_up(*largest_error_m);
+    let place = match region {
+        Some(file) => format!("inside {file}"),
+        None => "elsewhere".into(),
+    };
+    format!("tolerance   {tolerance_m} m {place}; largest difference {largest_m} m")
 }
 
 fn describe(plane: &Plane) -> String {

@@ -11,6 +11,7 @@ mod input;
 mod mosaic;
 mod place;
 mod progress;
+mod regions;
 mod resume;
 mod source;
 mod survey;

@@ -14,14 +14,18 @@ pub(super) fn print(manifest: &Manifest) {
         let [west, south] = extent.south_west;
         let [east, north] = extent.north_east;
         let [longitude, latitude] = extent.centre;
+        let longitudes = match goes_around(manifest) {
+            true => "all longitudes".to_owned(),
+            false => format!("longitude {west:.6} .. {east:.6}"),
+        };
         println!(
-            "place       longitude {west:.6} .. {east:.6}, latitude {south:.6} .. {north:.6} (south-west \
+            "place       {longitudes}, latitude {south:.6} .. {north:.6} (south-west \
              to north-east corner); middle {longitude:.6}, {latitude:.6}"
         );
     }
     if let Some(percent) = manifest.scale_error_percent {
         println!(
-            "scale       horizontal distances are right to {} %",
+            "scale       horizontal distances are wrong by at most {} %",
             shown_percent(percent)
         );
     }
@@ -43,23 +47,27 @@ pub(super) fn print(manifest: &Manifest) {
     }
 }
 
+/// Whether geographic data comes back to its first column, or nearly.
+fn goes_around(manifest: &Manifest) -> bool {
+    let degrees = extent::placement_of(manifest).dx * f64::from(manifest.samples[0]);
+    matches!(manifest.georef.plane, Plane::Geographic { .. }) && degrees > 359.99
+}
+
 /// What a user should know who did not ask, with what to do.
 pub(super) fn warn(manifest: &Manifest) {
     let Some(percent) = manifest.scale_error_percent.filter(|p| *p > WARN_PERCENT) else {
         return;
     };
-    let plane = &manifest.georef.plane;
-    let how = match plane {
+    let how = match &manifest.georef.plane {
         Plane::Geographic { .. } => "east to west at its northern or southern border",
         _ => "in its projection",
     };
-    let centre = extent::of(manifest).map(|extent| extent.centre);
-    let better = centre.and_then(|centre| extent::suggestion(plane, centre));
-    let advice = better.map_or(String::new(), |crs| {
-        format!("; where distances matter, build with --crs '{crs}', or in parts")
-    });
+    let advice = match extent::suggestion(manifest) {
+        Some(crs) => format!("where distances matter, build with --crs '{crs}', or in parts"),
+        None => "where distances matter, build it in parts, with --crs and --bounds".into(),
+    };
     eprintln!(
-        "warning: horizontal distances are up to {} % wrong {how}{advice}",
+        "warning: horizontal distances are up to {} % wrong {how}; {advice}",
         shown_percent(percent)
     );
 }

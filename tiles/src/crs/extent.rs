@@ -96,28 +96,34 @@ pub fn of(manifest: &Manifest) -> Option<Extent> {
     })
 }
 
-/// A CRS in which a place on Earth, or on a sphere, is nearly true to scale, as `--crs` takes it.
-pub fn suggestion(plane: &Plane, [longitude, latitude]: [f64; 2]) -> Option<String> {
+/// Wider than this, metres, and a UTM zone is no better than what there is.
+const UTM_WIDTH_M: f64 = 1e6;
+
+/// A CRS in which a dataset would be nearly true to scale, as `--crs` takes it; `None` for one that
+/// covers so much of its body that no plane is.
+pub fn suggestion(manifest: &Manifest) -> Option<String> {
+    let plane = &manifest.georef.plane;
     let crs = crs_of(plane);
+    let [longitude, latitude] = of(manifest)?.centre;
     let [a, b] = Projection::of(&crs).ok()?.axes_m();
-    let earth = (a - 6_378_137.0).abs() < 2000.0 && a != b;
+    let [x, y, _] = manifest.extent_m().map(|[from, to]| to - from);
+    // Seen from the middle of a stereographic plane, 0.6 radii away are 10 %.
+    if x.hypot(y) > 1.2 * a {
+        return None;
+    }
     let zone = ((longitude + 180.0) / 6.0).floor() as u16 + 1;
     let code = match latitude {
-        lat if lat >= 75.0 => 3995,
-        lat if lat <= -65.0 => 3031,
-        lat if lat >= 0.0 => 32600 + zone.min(60),
-        _ => 32700 + zone.min(60),
+        lat if lat.abs() > 80.0 || x > UTM_WIDTH_M => None,
+        lat if lat >= 0.0 => Some(32600 + zone.min(60)),
+        _ => Some(32700 + zone.min(60)),
     };
-    if earth && epsg_definition(code).is_some() {
-        return Some(format!("EPSG:{code}"));
-    }
-    let size = if a == b {
-        format!("+R={a}")
-    } else {
-        format!("+a={a} +b={b}")
+    let earth = (a - 6_378_137.0).abs() < 2000.0 && a != b;
+    let name = match code.filter(|code| earth && epsg_definition(*code).is_some()) {
+        Some(code) => format!("EPSG:{code}"),
+        None => {
+            let (longitude, latitude) = (longitude.round(), latitude.round());
+            format!("+proj=stere +lat_0={latitude} +lon_0={longitude} +a={a} +b={b}")
+        }
     };
-    let (longitude, latitude) = (longitude.round(), latitude.round());
-    Some(format!(
-        "+proj=stere +lat_0={latitude} +lon_0={longitude} {size}"
-    ))
+    (name != crs.name()).then_some(name)
 }

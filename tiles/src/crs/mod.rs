@@ -59,13 +59,15 @@ pub fn from_user(text: &str) -> Result<Crs, String> {
     if text.contains(['[', '(']) {
         return wkt::from_wkt(text);
     }
+    // What is quoted may be a whole file of something else.
+    let shown: String = text.chars().take(60).collect();
     match text.split_once(':') {
         Some((authority, code)) if authority.eq_ignore_ascii_case("EPSG") => match code.parse() {
             Ok(code) => from_epsg(code),
-            Err(_) => Err(format!("{text:?} has no number after the colon")),
+            Err(_) => Err(format!("{shown:?} has no number after the colon")),
         },
         _ => Err(format!(
-            "{text:?} is no CRS: allowed are EPSG:code, a PROJ string that starts with +proj=, WKT, \
+            "{shown:?} is no CRS: allowed are EPSG:code, a PROJ string that starts with +proj=, WKT, \
              or a file with WKT"
         )),
     }

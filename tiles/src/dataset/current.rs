@@ -8,6 +8,9 @@ use std::fs::{self, File};
 use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
+/// No generation is later: there is always a next one.
+pub(super) const MAX_GENERATION: u64 = 1 << 62;
+
 /// No `CURRENT` is longer, bytes.
 const LONGEST: u64 = 200;
 
@@ -57,6 +60,9 @@ impl Current {
             return None;
         }
         let generation = lines.next()?.strip_prefix("generation ")?.parse().ok()?;
+        if !(1..=MAX_GENERATION).contains(&generation) {
+            return None;
+        }
         let (bytes, crc) = lines.next()?.strip_prefix("manifest ")?.split_once(' ')?;
         let current = Current {
             generation,

@@ -1,7 +1,7 @@
 //! Names of a dataset's files: whose they are, and which generation's.
 
 use super::DatasetError;
-use super::current::Current;
+use super::current::{Current, MAX_GENERATION};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -96,7 +96,7 @@ pub(super) fn generation_of(name: &str) -> Option<u64> {
         .iter()
         .find_map(|prefix| name.strip_prefix(prefix))?;
     let digits = rest.split(['-', '.']).next()?;
-    digits.parse().ok()
+    digits.parse().ok().filter(|&g| g <= MAX_GENERATION)
 }
 
 /// Names of all files of a folder.

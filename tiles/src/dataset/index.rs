@@ -4,6 +4,7 @@ use super::map::Mapped;
 use super::{DatasetError, FamilyId};
 use crate::checksum::crc32c;
 use escarp_proto::bytes::Reader;
+use escarp_proto::geometry::Slot;
 use escarp_proto::manifest::{FileCheck, Manifest};
 use std::fs::File;
 use std::io::Write;
@@ -70,10 +71,16 @@ impl Index {
             let entry = parse(raw).filter(|entry| {
                 let segment = manifest.segments.get(entry.segment as usize);
                 let end = entry.offset.checked_add(u64::from(entry.bytes));
-                Some(entry.family) > last && segment.is_some_and(|s| end <= Some(s.bytes))
+                let page = entry.family.page(Slot::from_index(0));
+                let is_in_grid = page.is_some_and(|page| manifest.grid_levels.holds(page));
+                let is_in_segment = segment.is_some_and(|s| end <= Some(s.bytes));
+                Some(entry.family) > last && is_in_grid && is_in_segment
             });
             let Some(entry) = entry else {
-                let why = format!("entry {i} is out of order or points outside its segment");
+                let why = format!(
+                    "entry {i} is out of order, of no family of the grid, or points outside its \
+                     segment"
+                );
                 return Err(DatasetError::damaged(path, why));
             };
             last = Some(entry.family);

@@ -56,7 +56,8 @@ impl Dataset {
     pub fn open(folder: &Path) -> Result<Dataset, DatasetError> {
         let current = Current::read(folder)?;
         let manifest_json = current.read_manifest(folder)?;
-        Self::with_manifest(folder, &current.manifest_path(folder), manifest_json)
+        let path = current.manifest_path(folder);
+        Self::with_manifest(folder, (&path, current.generation), manifest_json)
     }
 
     /// Opens a generation that was published before, and is still there. Its manifest's checksum
@@ -76,16 +77,21 @@ impl Dataset {
             return Err(DatasetError::Usage { path, why });
         }
         let (path, json) = Current::read_old_manifest(folder, generation)?;
-        Self::with_manifest(folder, &path, json)
+        Self::with_manifest(folder, (&path, generation), json)
     }
 
     fn with_manifest(
         folder: &Path,
-        path: &Path,
+        (path, generation): (&Path, u64),
         manifest_json: Vec<u8>,
     ) -> Result<Dataset, DatasetError> {
         let manifest =
             Manifest::from_json(&manifest_json).map_err(|why| DatasetError::damaged(path, why))?;
+        if manifest.generation != generation {
+            let found = manifest.generation;
+            let why = format!("is of generation {found}, its name says {generation}");
+            return Err(DatasetError::damaged(path, why));
+        }
         let index = Index::open(folder, &manifest)?;
         let segments = manifest
             .segments

@@ -27,6 +27,10 @@ impl<'a> PageReader<'a> {
     /// # Errors
     /// [`DatasetError::Damaged`] if a record is missing or does not decode.
     pub fn page(&mut self, id: PageId) -> Result<Arc<Page>, DatasetError> {
+        if !self.dataset.grid().holds(id) {
+            let why = format!("page {id} is asked for, which its grid has not");
+            return Err(DatasetError::damaged(self.dataset.folder(), why));
+        }
         let level = usize::from(id.level() / PAGE_LEVELS);
         if let Some(page) = self.last[level].as_ref().filter(|page| page.id() == id) {
             return Ok(page.clone());
@@ -43,7 +47,7 @@ impl<'a> PageReader<'a> {
                 .map_err(|error| DatasetError::damaged(self.dataset.folder(), error.to_string()));
         }
         let implied = match id.parent() {
-            Some((parent, slot)) => self.page(parent)?.implied_child(slot, finest),
+            Some((parent, slot)) => self.page(parent)?.implied_child(slot, self.dataset.grid()),
             None => None,
         };
         implied.ok_or_else(|| {

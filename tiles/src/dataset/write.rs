@@ -129,7 +129,7 @@ impl DatasetWriter {
                     .into(),
             );
         }
-        if base.manifest().generation + 1 != writer.generation {
+        if base.manifest().generation.checked_add(1) != Some(writer.generation) {
             return usage("another program published meanwhile; start again".into());
         }
         writer.start_anew()?;

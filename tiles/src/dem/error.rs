@@ -156,7 +156,7 @@ impl DemError {
         self
     }
 
-    pub(super) fn io(path: &Path, doing: &'static str, source: std::io::Error) -> Self {
+    pub(crate) fn io(path: &Path, doing: &'static str, source: std::io::Error) -> Self {
         Self::Io {
             path: path.into(),
             doing,

@@ -124,6 +124,10 @@ impl DemSource for Filled {
         Ok(())
     }
 
+    fn finish(&mut self) -> Result<(), DemError> {
+        self.source.finish()
+    }
+
     fn resampling(&self) -> Option<Resampling> {
         self.source.resampling()
     }

@@ -52,6 +52,7 @@ mod usgs;
 mod write;
 
 use escarp_proto::manifest::Resampling;
+use escarp_proto::manifest::Tolerance;
 use std::ops::Range;
 use std::path::PathBuf;
 
@@ -271,6 +272,15 @@ pub trait DemSource: Send {
         None
     }
 
+    /// Reads what was never asked for, where [`resampling`](Self::resampling) or
+    /// [`tolerances`](Self::tolerances) need it: after a build that was resumed.
+    ///
+    /// # Errors
+    /// As [`read_rows`](Self::read_rows).
+    fn finish(&mut self) -> Result<(), DemError> {
+        Ok(())
+    }
+
     /// What bringing the input to this grid cost, over the rows read so far; `None` where each
     /// sample is the input's.
     fn resampling(&self) -> Option<Resampling> {
@@ -282,6 +292,12 @@ pub trait DemSource: Send {
     fn data_columns(&self, first_row: u32, rows: u32) -> Vec<Range<u32>> {
         let _ = (first_row, rows);
         std::iter::once(0..self.info().width).collect()
+    }
+
+    /// By how much heights are coarser than those of the files, over the rows read so far; empty
+    /// where nothing was allowed to be.
+    fn tolerances(&self) -> Vec<Tolerance> {
+        Vec::new()
     }
 
     /// Which samples are no data but fill; `None` where nothing was asked to be filled.

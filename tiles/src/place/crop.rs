@@ -62,6 +62,10 @@ impl DemSource for Cropped {
         self.source.overlaps()
     }
 
+    fn finish(&mut self) -> Result<(), DemError> {
+        self.source.finish()
+    }
+
     fn resampling(&self) -> Option<escarp_proto::manifest::Resampling> {
         self.source.resampling()
     }

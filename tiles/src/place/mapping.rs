@@ -67,11 +67,18 @@ impl Mapping {
             None => point,
         };
         let Placement { x0, y0, dx, dy } = self.source;
+        let row = snapped((y0 - y) / dy);
+        if let Some(turn) = self.turn {
+            // A turn is counted in columns: a step that is a rounded part of 360 degrees still
+            // brings each sample back to itself.
+            let (column, turn) = (snapped((x - x0) / dx), f64::from(turn));
+            return Some([column - turn * ((column + 0.5) / turn).floor(), row]);
+        }
         let x = match self.source_is_geographic {
             true => from_west(x, x0 - dx / 2.0),
             false => x,
         };
-        Some([snapped((x - x0) / dx), snapped((y0 - y) / dy)])
+        Some([snapped((x - x0) / dx), row])
     }
 
     /// A place in the target's CRS of a column and row of the source. Longitudes are those of the

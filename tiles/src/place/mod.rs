@@ -142,6 +142,10 @@ impl DemSource for Stated {
         self.source.overlaps()
     }
 
+    fn finish(&mut self) -> Result<(), DemError> {
+        self.source.finish()
+    }
+
     fn resampling(&self) -> Option<escarp_proto::manifest::Resampling> {
         self.source.resampling()
     }

@@ -44,12 +44,13 @@ pub struct Resampled {
     /// Heights are rounded to this, metres; 0 leaves them.
     step_m: f64,
     band: Option<Band>,
-    measured: Measured,
-    /// Bands whose difference from the source has been measured.
-    counted: Vec<bool>,
+    /// Differences from the source, of each band that has been made.
+    measured: Vec<Option<Measured>>,
     horizontal_error_m: f64,
     /// Source cells that one step of the target crosses at most.
     stride: f64,
+    /// The target's samples are some of the source's, side by side.
+    is_window: bool,
 }
 
 /// Heights of some rows of the target.
@@ -70,6 +71,8 @@ impl Resampled {
         let mut info = target.info(&from);
         info.format = "resampled";
         let exact = takes_samples(&from, &info, &mapping);
+        let steps = |info: &DemInfo| [info.placement.dx, info.placement.dy];
+        let is_window = exact && steps(&from) == steps(&info);
         let mut step_m = 0.0;
         if !exact && from.sample_type.is_integer() {
             step_m = from.height_step_m.abs() * STEP_PART;
@@ -88,7 +91,7 @@ impl Resampled {
         let horizontal_error_m = horizontal_error_m(&from, &mapping);
         let stride = stride(&info, &mapping);
         Ok(Resampled {
-            counted: vec![false; info.height.div_ceil(BAND_ROWS) as usize],
+            measured: vec![None; info.height.div_ceil(BAND_ROWS) as usize],
             blocks: Blocks::new(source),
             info,
             from,
@@ -96,9 +99,9 @@ impl Resampled {
             sampler,
             step_m,
             band: None,
-            measured: Measured::default(),
             horizontal_error_m,
             stride,
+            is_window,
         })
     }
 
@@ -117,8 +120,10 @@ impl Resampled {
                 let columns = left..right;
                 self.rectangle(first_row..end, columns, first_row, &mut heights, &mut used)?;
             }
-            if !std::mem::replace(&mut self.counted[number as usize], true) {
-                self.measure(first_row, end, &heights, &used)?;
+            let at = number as usize;
+            // Nothing is lost in a window, so that nothing is measured.
+            if self.measured[at].is_none() && !self.is_window {
+                self.measured[at] = Some(self.measure(first_row, end, &heights, &used)?);
             }
             self.band = Some(Band {
                 number,
@@ -238,21 +243,21 @@ impl Resampled {
         end: u32,
         heights: &[f64],
         used: &BTreeSet<(u32, u32)>,
-    ) -> Result<(), DemError> {
+    ) -> Result<Measured, DemError> {
         let strip = Strip {
             target: &self.info,
             first_row,
             end,
             heights,
         };
+        let mut all = Measured::default();
         // One block after the other, so that memory is bounded whatever the band needed.
         for key in used {
             let loaded = self.blocks.load(&BTreeSet::from([*key]))?;
             let (columns, rows) = self.blocks.extent(*key);
-            let found = measure(&strip, &self.mapping, &loaded, columns, rows);
-            self.measured.add(found);
+            all.add(measure(&strip, &self.mapping, &loaded, columns, rows));
         }
-        Ok(())
+        Ok(all)
     }
 }
 
@@ -272,19 +277,36 @@ impl DemSource for Resampled {
         Ok(())
     }
 
+    fn finish(&mut self) -> Result<(), DemError> {
+        for number in 0..self.measured.len() {
+            if self.measured[number].is_none() && !self.is_window {
+                self.band(number as u32)?;
+            }
+        }
+        Ok(())
+    }
+
     fn overlaps(&self) -> Option<OverlapReport> {
         self.blocks.source().overlaps()
     }
 
     fn resampling(&self) -> Option<Resampling> {
+        if self.is_window {
+            return None;
+        }
+        let mut all = Measured::default();
+        self.measured
+            .iter()
+            .flatten()
+            .for_each(|band| all.add(*band));
         Some(Resampling {
             from_crs: self.from.crs.name().to_owned(),
             from_spacing: [self.from.placement.dx, self.from.placement.dy],
             interpolation: self.sampler.interpolation.name().to_owned(),
-            compared: self.measured.compared,
-            uncovered: self.measured.uncovered,
-            largest_difference_m: self.measured.largest_m(),
-            rms_difference_m: self.measured.rms_m(),
+            compared: all.compared,
+            uncovered: all.uncovered,
+            largest_difference_m: all.largest_m(),
+            rms_difference_m: all.rms_m(),
             horizontal_error_m: self.horizontal_error_m,
         })
     }

@@ -437,6 +437,15 @@ fn a_whole_turn_has_no_seam() {
             "{lon}"
         );
     }
+    assert_eq!(placed.resampling(), None);
+    // A rounded third of a degree is a whole turn, too, and its samples stay exact.
+    let mut third = info("EPSG:4326", [1081, 21], [20.166_667, 5.0], [0.333_333_3; 2]);
+    third.sample_type = SampleType::I16;
+    let source = formula(third, |lon, _| (lon * 3.0).round());
+    let bounds = Some([10.0, -1.0, 30.0, 1.0]);
+    let mut placed = place(Box::new(source), &wish("", None, bounds)).unwrap();
+    assert_eq!((placed.info().width, placed.resampling()), (60, None));
+    assert!(all(&mut *placed).iter().all(|h| h.fract() == 0.0));
     let source = formula(info("EPSG:4326", [720, 21], [20.0, 5.0], [0.5; 2]), height);
     let mut placed = place(
         Box::new(source),
@@ -505,4 +514,24 @@ fn without_georeference_bounds_are_metres_from_the_south_west() {
         all(&mut *placed)[..4],
         [19_840.0, 29_840.0, 39_840.0, 49_840.0]
     );
+}
+
+#[test]
+fn what_is_stated_does_not_depend_on_which_rows_were_read() {
+    let rough = |x: f64, y: f64| (x * 0.37).sin() * 50.0 + (y * 0.11).cos() * 70.0;
+    let placed = || {
+        let source_info = info("EPSG:32612", [300, 400], [5e5, 4e6], [10.0; 2]);
+        let mut wish = wish("EPSG:4326", None, None);
+        wish.interpolation = Interpolation::Cubic;
+        place(Box::new(formula(source_info, rough)), &wish).unwrap()
+    };
+    let (mut whole, mut resumed) = (placed(), placed());
+    all(&mut *whole);
+    let (width, height) = (resumed.info().width as usize, resumed.info().height);
+    let from = height / 2;
+    let mut half = vec![0.0; (height - from) as usize * width];
+    resumed.read_rows(from, height - from, &mut half).unwrap();
+    assert_ne!(whole.resampling(), resumed.resampling());
+    resumed.finish().unwrap();
+    assert_eq!(whole.resampling(), resumed.resampling());
 }

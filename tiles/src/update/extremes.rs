@@ -97,7 +97,7 @@ fn promise_of(page: &Page, slot: Slot, end: End) -> Option<i64> {
             End::Lowest => end.signed(range.lo),
             End::Highest => end.signed(range.hi),
         }),
-        ChildSlot::Full(error) => {
+        ChildSlot::Full(error) | ChildSlot::Cut(error) => {
             let heights = corners.map(|at| end.signed(page.height(at)));
             let reach = i64::from(error.bound());
             heights.into_iter().max().map(|most| most + reach)

@@ -5,6 +5,7 @@ use crate::dataset::{Dataset, PageReader};
 use crate::dem::{DemInfo, DemSource};
 use crate::frame::georef_of;
 use escarp_proto::geometry::PAGE_CELLS;
+use escarp_proto::georef::Plane;
 use serde::Serialize;
 
 /// How a dataset differs from its inputs.
@@ -86,8 +87,16 @@ fn check_place(dataset: &Dataset, info: &DemInfo) -> Result<(), BuildError> {
     let given = georef_of(info, stored.quantum_m);
     let cell = stored.sample_spacing_m[0].min(stored.sample_spacing_m[1]);
     let differs = |a: [f64; 2], b: [f64; 2]| (0..2).any(|i| (a[i] - b[i]).abs() > 1e-6 * cell);
-    if stored.plane == given.plane
-        && !differs(stored.origin_m, given.origin_m)
+    if !is_same_plane(&stored.plane, &given.plane) {
+        return Err(BuildError::Unfit {
+            path: info.path.clone(),
+            why: format!(
+                "it has another coordinate system: {:?}, but the dataset {:?}",
+                given.plane, stored.plane
+            ),
+        });
+    }
+    if !differs(stored.origin_m, given.origin_m)
         && !differs(stored.sample_spacing_m, given.sample_spacing_m)
     {
         return Ok(());
@@ -100,6 +109,33 @@ fn check_place(dataset: &Dataset, info: &DemInfo) -> Result<(), BuildError> {
             given.origin_m, given.sample_spacing_m, stored.origin_m, stored.sample_spacing_m
         ),
     })
+}
+
+/// Equal but for what is lost when numbers are written and read in other formats.
+fn is_same_plane(a: &Plane, b: &Plane) -> bool {
+    let near = |a: f64, b: f64| (a - b).abs() <= 1e-9 * a.abs().max(1.0);
+    match (a, b) {
+        (
+            Plane::Geographic {
+                crs,
+                radius_m,
+                middle_longitude_deg,
+                middle_latitude_deg,
+            },
+            Plane::Geographic {
+                crs: other,
+                radius_m: radius,
+                middle_longitude_deg: longitude,
+                middle_latitude_deg: latitude,
+            },
+        ) => {
+            crs == other
+                && near(*radius_m, *radius)
+                && near(*middle_longitude_deg, *longitude)
+                && near(*middle_latitude_deg, *latitude)
+        }
+        _ => a == b,
+    }
 }
 
 impl Against {

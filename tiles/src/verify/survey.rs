@@ -120,7 +120,9 @@ impl Counts {
     fn slots(&mut self, page: &Page) {
         for slot in (0..=u8::MAX).map(Slot::from_index) {
             match page.slot(slot) {
-                ChildSlot::Full(error) => self.full[usize::from(error.0)] += 1,
+                ChildSlot::Full(error) | ChildSlot::Cut(error) => {
+                    self.full[usize::from(error.0)] += 1
+                }
                 ChildSlot::Mixed(_) => self.mixed += 1,
                 ChildSlot::Empty => self.empty += 1,
             }

@@ -15,7 +15,7 @@ mod train;
 pub use train::{CodedBits, SymbolCounts};
 
 use super::codec0::{self, CORNERS};
-use super::record::{Codec, HOLES, RAW, Tag};
+use super::record::{CUTS, Codec, HOLES, RAW, Tag};
 use super::{MAX_HEIGHT, PAGE_AREA, Page, PageError, Range, SLOT_PART, level_step};
 use crate::err8::Err8;
 use crate::geometry::{PAGE_LEVELS, PAGE_SAMPLES, PageId};
@@ -43,7 +43,8 @@ fn encode_as(page: &Page, raw: Option<Raw>) -> Vec<u8> {
     run(page, raw, &mut coder);
     let holes = if page.has_holes() { HOLES } else { 0 };
     let raw = if raw.is_some() { RAW } else { 0 };
-    coder.finish(Codec::Dense as u8 | holes | raw)
+    let cuts = if page.has_cuts { CUTS } else { 0 };
+    coder.finish(Codec::Dense as u8 | holes | raw | cuts)
 }
 
 /// Codes a page that is whole and sound, so that no check can fail.
@@ -187,6 +188,7 @@ pub(super) fn part_ends(
 ) -> Result<Vec<usize>, PageError> {
     let mut page = Page::blank(id, finest);
     page.valid = tag.has_holes.then(|| Box::new([true; PAGE_AREA]));
+    page.has_cuts = tag.has_cuts;
     let (stream, bytes) = (Stream::start(tag), record.get(1..).unwrap_or_default());
     let ends = match parts == page.last_part() {
         true => extend_in_place(&mut page, stream, parts, bytes)?,

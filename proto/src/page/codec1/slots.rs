@@ -16,15 +16,24 @@ pub(super) fn code(page: &mut Page, coder: &mut impl Coder) -> Result<(), PageEr
             true => kind(slots[at], west, south, coder),
             false => 0,
         };
-        slots[at] = match kind {
-            0 => ChildSlot::Full(error(page, slots[at], west, south, coder)?),
-            1 => ChildSlot::Empty,
-            2 => ChildSlot::Mixed(range(page, slots[at], coder)?),
-            kind => return Err(page.value("slot kind", i64::from(kind), "0..=2")),
+        let cut = match page.has_cuts && kind == 0 {
+            true => cut(slots[at], west, south, coder),
+            false => 0,
+        };
+        slots[at] = match (kind, cut) {
+            (0, 0) => ChildSlot::Full(error(page, slots[at], west, south, coder)?),
+            (0, 1) => ChildSlot::Cut(error(page, slots[at], west, south, coder)?),
+            (0, cut) => return Err(page.value("slot's cut", i64::from(cut), "0 or 1")),
+            (1, _) => ChildSlot::Empty,
+            (2, _) => ChildSlot::Mixed(range(page, slots[at], coder)?),
+            (kind, _) => return Err(page.value("slot kind", i64::from(kind), "0..=2")),
         };
     }
     page.slots = Some(slots);
-    Ok(())
+    match page.has_cuts && !page.any_cut() {
+        true => Err(page.value("slots that are cut", 0, "at least 1, by its flags")),
+        false => Ok(()),
+    }
 }
 
 fn kind(
@@ -33,14 +42,34 @@ fn kind(
     south: Option<ChildSlot>,
     coder: &mut impl Coder,
 ) -> u32 {
-    let of = |slot: Option<ChildSlot>| slot.map(|slot| slot.kind() as usize);
-    // On the page's own edge, the other neighbour stands for the one beyond.
-    let (west, south) = match (of(west), of(south)) {
+    let of = |slot: ChildSlot| slot.kind() as usize;
+    coder.symbol(kind_table(west.map(of), south.map(of)), slot.kind() as u32)
+}
+
+/// Whether a full slot is cut: as likely to be as its neighbours as kinds are, in their tables.
+fn cut(
+    slot: ChildSlot,
+    west: Option<ChildSlot>,
+    south: Option<ChildSlot>,
+    coder: &mut impl Coder,
+) -> u32 {
+    let of = |slot: ChildSlot| match slot {
+        ChildSlot::Full(_) => 0,
+        ChildSlot::Cut(_) => 1,
+        _ => 2,
+    };
+    let is_cut = u32::from(matches!(slot, ChildSlot::Cut(_)));
+    coder.symbol(kind_table(west.map(of), south.map(of)), is_cut)
+}
+
+/// On the page's own edge, the other neighbour stands for the one beyond.
+fn kind_table(west: Option<usize>, south: Option<usize>) -> usize {
+    let (west, south) = match (west, south) {
         (Some(west), Some(south)) => (west, south),
         (Some(only), None) | (None, Some(only)) => (only, only),
         (None, None) => (2, 2),
     };
-    coder.symbol(KIND + 3 * west + south, slot.kind() as u32)
+    KIND + 3 * west + south
 }
 
 fn error(
@@ -51,7 +80,7 @@ fn error(
     coder: &mut impl Coder,
 ) -> Result<Err8, PageError> {
     let of = |slot: Option<ChildSlot>| match slot {
-        Some(ChildSlot::Full(error)) => Some(i32::from(error.0)),
+        Some(ChildSlot::Full(error) | ChildSlot::Cut(error)) => Some(i32::from(error.0)),
         _ => None,
     };
     let (likely, context) = match (of(west), of(south)) {
@@ -68,7 +97,7 @@ fn error(
         (None, None) => (i32::from(page.rest[PAGE_LEVELS as usize - 1].0), 4),
     };
     let own = match slot {
-        ChildSlot::Full(error) => i32::from(error.0),
+        ChildSlot::Full(error) | ChildSlot::Cut(error) => i32::from(error.0),
         _ => 0,
     };
     let more = unzigzag(scaled(coder, SLOT + context, 0, zigzag(own - likely)));

@@ -1,6 +1,8 @@
 //! The bytes of a checkpoint: what bands left for the level above, and sums.
 
-use super::super::level::{Above, Level};
+use super::super::above::Above;
+use super::super::level::Level;
+use super::super::quantise::HOLE;
 use super::super::rows::Stored;
 use escarp_proto::bytes::{Reader, put_varint, put_zigzag};
 use escarp_proto::err8::Err8;
@@ -17,16 +19,23 @@ pub(super) fn put_stored(stored: Stored, out: &mut Vec<u8>) {
     }
 }
 
-/// Reads what [`put_stored`] wrote.
-pub(super) fn read_stored(reader: &mut Reader<'_>) -> Option<Stored> {
+/// Reads what [`put_stored`] wrote of at most so many samples.
+pub(super) fn read_stored(reader: &mut Reader<'_>, samples: u64) -> Option<Stored> {
     let (valid_samples, largest_error_m) = (reader.u64()?, f64::from_bits(reader.u64()?));
     let has_range = reader.u8()? == 1;
     let range = [reader.u32()? as i32, reader.u32()? as i32];
-    Some(Stored {
+    let is_range = range.is_sorted() && range.into_iter().all(is_height);
+    let is_error = largest_error_m.is_finite() && largest_error_m >= 0.0;
+    let fits = valid_samples <= samples && is_error && (is_range || !has_range);
+    fits.then_some(Stored {
         valid_samples,
         largest_error_m,
         range: has_range.then_some(range),
     })
+}
+
+fn is_height(height: i32) -> bool {
+    (-MAX_HEIGHT..=MAX_HEIGHT).contains(&height)
 }
 
 /// Rows of page corners that a band adds, and rows of slots. The northern row of corners is that
@@ -55,17 +64,27 @@ pub(super) fn put_band(level: &Level, number: usize, above: &Above, out: &mut Ve
         let slots: Vec<ChildSlot> = (0..above.width - 1)
             .map(|column| above.slots.get(column, row))
             .collect();
-        for run in slots.chunk_by(|a, b| a.kind() == b.kind()) {
-            out.push(run[0].kind() as u8);
+        for run in slots.chunk_by(|a, b| sort_of(*a) == sort_of(*b)) {
+            out.push(sort_of(run[0]));
             put_varint(run.len() as u64, out);
             run.iter().for_each(|slot| put_slot(*slot, out));
         }
     }
 }
 
+/// Stands for a slot that is cut; the others have their kinds.
+const CUT: u8 = 3;
+
+fn sort_of(slot: ChildSlot) -> u8 {
+    match slot {
+        ChildSlot::Cut(_) => CUT,
+        slot => slot.kind() as u8,
+    }
+}
+
 fn put_slot(slot: ChildSlot, out: &mut Vec<u8>) {
     match slot {
-        ChildSlot::Full(error) => out.push(error.0),
+        ChildSlot::Full(error) | ChildSlot::Cut(error) => out.push(error.0),
         ChildSlot::Empty => {}
         ChildSlot::Mixed(range) => {
             put_zigzag(i64::from(range.lo), out);
@@ -77,11 +96,12 @@ fn put_slot(slot: ChildSlot, out: &mut Vec<u8>) {
 fn read_slot(kind: u8, reader: &mut Reader<'_>) -> Option<ChildSlot> {
     let height = |reader: &mut Reader<'_>| i32::try_from(reader.zigzag()?).ok();
     Some(match kind {
+        CUT => ChildSlot::Cut(Err8(reader.u8()?)),
         kind if kind == Kind::Full as u8 => ChildSlot::Full(Err8(reader.u8()?)),
         kind if kind == Kind::Empty as u8 => ChildSlot::Empty,
         kind if kind == Kind::Mixed as u8 => {
             let (lo, hi) = (height(reader)?, height(reader)?);
-            let fits = -MAX_HEIGHT <= lo && lo <= hi && hi <= MAX_HEIGHT;
+            let fits = is_height(lo) && is_height(hi) && lo <= hi;
             ChildSlot::Mixed(fits.then_some(Range { lo, hi })?)
         }
         _ => return None,
@@ -101,6 +121,7 @@ pub(super) fn read_band(
         for height in &mut above.heights[row * above.width..][..above.width] {
             last += reader.zigzag()?;
             *height = i32::try_from(last).ok()?;
+            (*height == HOLE || is_height(*height)).then_some(())?;
         }
     }
     for row in slots {

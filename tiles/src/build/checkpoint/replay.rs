@@ -12,6 +12,8 @@ use std::path::PathBuf;
 /// A journal, read back entry by entry.
 pub(super) struct Replay {
     pub(super) path: PathBuf,
+    /// Of the finest level: no more can have been stored.
+    pub(super) samples: u64,
     /// The level that is being replayed.
     pub(super) level: Level,
     pub(super) index: Vec<IndexEntry>,
@@ -36,9 +38,11 @@ impl Replay {
 
     fn read(&mut self, reader: &mut Reader<'_>) -> Option<()> {
         self.pages = reader.u64()?;
-        self.stored = read_stored(reader)?;
+        self.stored = read_stored(reader, self.samples)?;
         for _ in 0..reader.u32()? {
-            self.index.push(IndexEntry::read(reader)?);
+            let entry = IndexEntry::read(reader)?;
+            self.level.has(entry.family).then_some(())?;
+            self.index.push(entry);
         }
         for _ in 0..reader.u32()? {
             self.band(reader)?;

@@ -24,13 +24,7 @@ impl DatasetWriter {
             let last = self.segments.last_mut();
             match last.filter(|segment| segment.bytes == entry.offset) {
                 Some(segment) => segment.bytes += u64::from(entry.bytes),
-                None => {
-                    let path = journal_path(&self.folder, self.generation);
-                    return Err(DatasetError::damaged(
-                        &path,
-                        "its families are not in order",
-                    ));
-                }
+                None => return Err(self.no_journal("its families are not in order".into())),
             }
         }
         (self.index, self.pages) = (index, pages);
@@ -40,7 +34,32 @@ impl DatasetWriter {
             generation >= self.generation && name != journal && !ours(name)
         })?;
         self.open = self.reopened()?;
-        self.check_written()
+        self.check_families()?;
+        let stored = self.check_written()?;
+        match self.pages == stored {
+            true => Ok(()),
+            false => Err(self.no_journal(format!(
+                "it says {} pages, its families have {stored}",
+                self.pages
+            ))),
+        }
+    }
+
+    fn no_journal(&self, why: String) -> DatasetError {
+        DatasetError::damaged(&journal_path(&self.folder, self.generation), why)
+    }
+
+    /// No family may have been written twice.
+    fn check_families(&self) -> Result<(), DatasetError> {
+        let mut families: Vec<_> = self.index.iter().map(|entry| entry.family).collect();
+        families.sort_unstable();
+        match families.windows(2).find(|pair| pair[0] == pair[1]) {
+            None => Ok(()),
+            Some(pair) => {
+                let why = format!("it has family {:x} twice", pair[0].to_u64());
+                Err(self.no_journal(why))
+            }
+        }
     }
 
     /// The last segment, cut to what counts, and ready for more.
@@ -63,16 +82,18 @@ impl DatasetWriter {
         Ok(Some(BufWriter::with_capacity(1 << 20, file)))
     }
 
-    /// Reads all that an unfinished writer wrote.
-    fn check_written(&self) -> Result<(), DatasetError> {
+    /// Reads all that an unfinished writer wrote: how many records that is.
+    fn check_written(&self) -> Result<u64, DatasetError> {
         let open =
             |segment: &Segment| Mapped::open(&self.folder.join(&segment.file), segment.bytes);
         let maps: Vec<Mapped> = self.segments.iter().map(open).collect::<Result<_, _>>()?;
-        self.index.par_iter().try_for_each(|entry| {
+        let records = self.index.par_iter().map(|entry| {
             let map = &maps[entry.segment as usize];
             let bytes = &map.bytes()[entry.offset as usize..][..entry.bytes as usize];
             let table = FamilyTable::read(entry, bytes, map.path())?;
-            table.records().try_for_each(|record| record.map(|_| ()))
-        })
+            table.records().try_for_each(|record| record.map(|_| ()))?;
+            Ok(table.len() as u64)
+        });
+        records.try_reduce(|| 0, |a, b| Ok(a + b))
     }
 }
