@@ -8,6 +8,7 @@ use crate::export::{DatasetSource, encoding_for, range_m};
 use anyhow::{Result, bail};
 use clap::Args;
 use serde_json::json;
+use std::fs;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -34,6 +35,12 @@ pub(super) struct ExportArgs {
 }
 
 pub(super) fn run(args: &ExportArgs) -> Result<ExitCode> {
+    if fs::symlink_metadata(&args.output).is_ok_and(|found| !found.is_file()) {
+        bail!(
+            "{}: it is no plain file; name another output",
+            args.output.display()
+        );
+    }
     if args.output.exists() && !args.overwrite {
         let output = args.output.display();
         bail!("{output} exists; give --overwrite to replace it");

@@ -63,6 +63,15 @@ enum Coding {
 }
 
 impl InputArgs {
+    /// Files that the options name.
+    pub(super) fn files(&self) -> Vec<PathBuf> {
+        [&self.lons, &self.lats]
+            .into_iter()
+            .flatten()
+            .cloned()
+            .collect()
+    }
+
     pub(super) fn options(&self) -> OpenOptions {
         OpenOptions {
             spacing_m: self.spacing,

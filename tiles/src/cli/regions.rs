@@ -12,13 +12,21 @@ pub(super) struct RegionArgs {
     /// (GeoJSON, in the CRS of the inputs) or where it is not 0 (a raster on the inputs' lattice).
     /// Can be given several times: the first file that holds a place counts, and elsewhere the
     /// number without a file, or 0
-    #[arg(long = "tolerance", value_name = "M[:FILE]", value_parser = wish)]
+    #[arg(long = "tolerance", conflicts_with = "lossless", value_name = "M[:FILE]", value_parser = wish)]
     tolerances: Vec<Wish>,
     /// Metres that stored heights may differ from inputs coarser than the finest where only they
     /// count; default: their samples are exact where they lie 16 cells apart or more, else all
     /// heights are
     #[arg(long, value_name = "M", value_parser = length)]
     base_tolerance: Option<f64>,
+}
+
+impl RegionArgs {
+    /// Files that say where tolerances count.
+    pub(super) fn files(&self) -> Vec<PathBuf> {
+        let regions = self.tolerances.iter();
+        regions.filter_map(|wish| wish.region.clone()).collect()
+    }
 }
 
 fn length(text: &str) -> Result<f64, String> {

@@ -21,6 +21,11 @@ pub(super) struct SourceArgs {
 }
 
 impl SourceArgs {
+    /// Files that its options name.
+    pub(super) fn files(&self) -> Vec<PathBuf> {
+        self.input.files()
+    }
+
     /// Whether of overlapping inputs the one named last counts.
     pub(super) fn is_last_first(&self) -> bool {
         self.mosaic.is_last_first()

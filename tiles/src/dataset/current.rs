@@ -89,14 +89,16 @@ impl Current {
     /// The manifest's bytes, checked.
     pub(super) fn read_manifest(&self, folder: &Path) -> Result<Vec<u8>, DatasetError> {
         let path = self.manifest_path(folder);
-        let found = fs::metadata(&path)
-            .map_err(|source| match source.kind() {
-                ErrorKind::NotFound => {
-                    DatasetError::damaged(&path, "the file is missing, but CURRENT names it")
-                }
-                _ => DatasetError::io(&path, "read length")(source),
-            })?
-            .len();
+        let found = fs::metadata(&path).map_err(|source| match source.kind() {
+            ErrorKind::NotFound => {
+                DatasetError::damaged(&path, "the file is missing, but CURRENT names it")
+            }
+            _ => DatasetError::io(&path, "read length")(source),
+        })?;
+        if !found.is_file() {
+            return Err(DatasetError::damaged(&path, "it is not a file"));
+        }
+        let found = found.len();
         if found != self.manifest_bytes || found > MAX_MANIFEST_BYTES as u64 {
             let said = self.manifest_bytes;
             let why = format!(

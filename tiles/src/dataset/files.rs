@@ -5,16 +5,6 @@ use super::current::{Current, MAX_GENERATION};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// What the names of files of a generation start with.
-const PREFIXES: [&str; 6] = [
-    "manifest-",
-    "index-",
-    "seg-",
-    "filled-",
-    "resume-",
-    "build-",
-];
-
 /// What an unfinished build left in a folder.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Unfinished {
@@ -90,13 +80,33 @@ pub(super) fn journal_path(folder: &Path, generation: u64) -> PathBuf {
     folder.join(format!("resume-{generation}"))
 }
 
-/// The generation in the name of one of a dataset's files.
+/// The generation in the name of one of a dataset's files. Names are taken as exactly those of
+/// `tiles/FORMAT.md`: what is only like them is someone else's.
 pub(super) fn generation_of(name: &str) -> Option<u64> {
-    let rest = PREFIXES
-        .iter()
-        .find_map(|prefix| name.strip_prefix(prefix))?;
-    let digits = rest.split(['-', '.']).next()?;
-    digits.parse().ok().filter(|&g| g <= MAX_GENERATION)
+    let (kind, rest) = name.split_once('-')?;
+    let generation = match kind {
+        "manifest" | "build" => rest.strip_suffix(".json")?,
+        "index" | "filled" | "resume" => rest,
+        "seg" => {
+            let (generation, number) = rest.split_once('-')?;
+            number_of(number)?;
+            generation
+        }
+        _ => return None,
+    };
+    number_of(generation).filter(|&g| g <= MAX_GENERATION)
+}
+
+/// A number as we write it: digits only.
+fn number_of(digits: &str) -> Option<u64> {
+    let number: u64 = digits.parse().ok()?;
+    (number.to_string() == digits).then_some(number)
+}
+
+/// Whether a name is one that `tempfile` gives: what a crash left of a new `CURRENT`.
+fn is_temporary(name: &str) -> bool {
+    name.strip_prefix(".tmp")
+        .is_some_and(|rest| rest.len() == 6 && rest.bytes().all(|b| b.is_ascii_alphanumeric()))
 }
 
 /// Names of all files of a folder.
@@ -118,13 +128,13 @@ pub(super) fn newest_generation(folder: &Path) -> Result<u64, DatasetError> {
         .unwrap_or(0))
 }
 
-/// Whether a folder can be taken for a dataset: nothing of anyone else's is ever written over.
+/// Whether a folder can be taken for a dataset: nothing of anyone else's is ever written over, nor
+/// through a link.
 pub(super) fn holds_only_ours(folder: &Path) -> Result<bool, DatasetError> {
     let ours = |name: &String| {
-        name == "CURRENT"
-            || name == "LOCK"
-            || name.starts_with(".tmp")
-            || generation_of(name).is_some()
+        let known = name == "CURRENT" || name == "LOCK" || is_temporary(name);
+        (known || generation_of(name).is_some())
+            && fs::symlink_metadata(folder.join(name)).is_ok_and(|found| found.is_file())
     };
     Ok(names(folder)?.iter().all(ours))
 }
@@ -136,10 +146,58 @@ pub(super) fn remove_files(
 ) -> Result<(), DatasetError> {
     for name in names(folder)? {
         let picked = generation_of(&name).is_some_and(|generation| which(&name, generation));
-        if name.starts_with(".tmp") || picked {
+        if is_temporary(&name) || picked {
             let path = folder.join(name);
             fs::remove_file(&path).map_err(DatasetError::io(&path, "remove"))?;
         }
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_names_that_a_writer_gives_are_ours() {
+        let names = [
+            ("manifest-3.json", Some(3)),
+            ("index-12", Some(12)),
+            ("seg-3-0", Some(3)),
+            ("filled-1", Some(1)),
+            ("resume-1", Some(1)),
+            ("build-7.json", Some(7)),
+            ("build-7.log", None),
+            ("index-2.html", None),
+            ("manifest-3.webmanifest", None),
+            ("seg-3", None),
+            ("seg-3-x", None),
+            ("seg-+3-1", None),
+            ("index-007", None),
+            ("index-18446744073709551615", None),
+        ];
+        for (name, generation) in names {
+            assert_eq!(generation_of(name), generation, "{name}");
+        }
+        assert!(is_temporary(".tmpAb12Cd") && !is_temporary(".tmpx") && !is_temporary(".tmp"));
+    }
+
+    #[test]
+    fn a_folder_with_someone_elses_files_or_links_is_not_taken() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name);
+        fs::write(path("index-1"), "").unwrap();
+        assert!(holds_only_ours(folder.path()).unwrap());
+        fs::write(path("build-7.log"), "notes").unwrap();
+        assert!(!holds_only_ours(folder.path()).unwrap());
+        fs::remove_file(path("build-7.log")).unwrap();
+        fs::create_dir(path("seg-1-0")).unwrap();
+        assert!(!holds_only_ours(folder.path()).unwrap());
+        fs::remove_dir(path("seg-1-0")).unwrap();
+        #[cfg(unix)]
+        {
+            std::os::unix::fs::symlink("../victim", path("LOCK")).unwrap();
+            assert!(!holds_only_ours(folder.path()).unwrap());
+        }
+    }
 }

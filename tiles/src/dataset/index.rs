@@ -73,7 +73,7 @@ impl Index {
                 let end = entry.offset.checked_add(u64::from(entry.bytes));
                 let page = entry.family.page(Slot::from_index(0));
                 let is_in_grid = page.is_some_and(|page| manifest.grid_levels.holds(page));
-                let is_in_segment = segment.is_some_and(|s| end <= Some(s.bytes));
+                let is_in_segment = segment.is_some_and(|s| end.is_some_and(|end| end <= s.bytes));
                 Some(entry.family) > last && is_in_grid && is_in_segment
             });
             let Some(entry) = entry else {

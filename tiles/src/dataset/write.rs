@@ -146,7 +146,9 @@ impl DatasetWriter {
             why: why.into(),
         };
         if folder.is_dir() && !holds_only_ours(folder)? {
-            return Err(usage("the folder holds other files; choose another name"));
+            return Err(usage(
+                "the folder holds other files, folders or links; choose another name",
+            ));
         }
         fs::create_dir_all(folder).map_err(DatasetError::io(folder, "create the folder"))?;
         let path = folder.join("LOCK");

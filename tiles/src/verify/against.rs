@@ -91,8 +91,10 @@ fn check_place(dataset: &Dataset, info: &DemInfo) -> Result<(), BuildError> {
         return Err(BuildError::Unfit {
             path: info.path.clone(),
             why: format!(
-                "it has another coordinate system: {:?}, but the dataset {:?}",
-                given.plane, stored.plane
+                "it has another place or coordinate system: {}, but the dataset {}; give the options \
+                 of the build",
+                words(&given.plane),
+                words(&stored.plane)
             ),
         });
     }
@@ -109,6 +111,21 @@ fn check_place(dataset: &Dataset, info: &DemInfo) -> Result<(), BuildError> {
             given.origin_m, given.sample_spacing_m, stored.origin_m, stored.sample_spacing_m
         ),
     })
+}
+
+fn words(plane: &Plane) -> String {
+    match plane {
+        Plane::Projected { crs, .. } => crs.clone(),
+        Plane::Geographic {
+            crs,
+            middle_longitude_deg,
+            middle_latitude_deg,
+            ..
+        } => format!(
+            "{crs} around longitude {middle_longitude_deg:.6}, latitude {middle_latitude_deg:.6}"
+        ),
+        Plane::Local => "no georeference".into(),
+    }
 }
 
 /// Equal but for what is lost when numbers are written and read in other formats.
