@@ -169,6 +169,13 @@ impl Manifest {
                 self.samples
             ));
         }
+        let samples = u64::from(self.samples[0]) * u64::from(self.samples[1]);
+        if self.valid_samples > samples {
+            let found = self.valid_samples;
+            return Err(format!(
+                "{found} samples with data, allowed are 0..={samples}"
+            ));
+        }
         if let Some([lo, hi]) = self.height_range
             && (lo > hi || lo < -MAX_HEIGHT || hi > MAX_HEIGHT)
         {

@@ -96,7 +96,7 @@ pub(super) fn run(args: &BuildArgs) -> Result<ExitCode> {
         codec: Codec::from_u8(args.codec).unwrap_or(Codec::Dense),
         overwrite: args.overwrite,
         resume: args.resume,
-        identity: identity(&expand(&inputs)?, &args.source),
+        identity: identity(&expand(&inputs)?, &(&args.source, &args.regions)),
         accept_changed: args.accept_changed,
         checkpoint_samples: args.checkpoint,
     };

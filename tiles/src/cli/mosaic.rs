@@ -13,7 +13,7 @@ use std::path::PathBuf;
 #[derive(Debug, Clone, Args)]
 pub(super) struct MosaicArgs {
     /// Which input counts where several overlap; a hole never counts
-    #[arg(long, value_enum, default_value_t = PriorityArg::First)]
+    #[arg(long, value_enum, default_value_t = PriorityArg::Finest)]
     priority: PriorityArg,
     /// How heights go from one input to the next: "exact", or "blend:N", over N samples inside
     /// their overlap
@@ -37,6 +37,8 @@ const DEFAULT_FILL: &str = "262144";
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
 enum PriorityArg {
+    /// The one with the finest spacing; of one spacing, the one named first
+    Finest,
     /// The one named first
     First,
     /// The one named last
@@ -70,6 +72,7 @@ impl MosaicArgs {
     ) -> Result<Box<dyn DemSource>> {
         let join = JoinOptions {
             priority: match self.priority {
+                PriorityArg::Finest => Priority::Finest,
                 PriorityArg::First => Priority::First,
                 PriorityArg::Last => Priority::Last,
             },

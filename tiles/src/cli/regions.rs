@@ -14,6 +14,18 @@ pub(super) struct RegionArgs {
     /// number without a file, or 0
     #[arg(long = "tolerance", value_name = "M[:FILE]", value_parser = wish)]
     tolerances: Vec<Wish>,
+    /// Metres that stored heights may differ from inputs coarser than the finest where only they
+    /// count; default: their samples are exact where they lie 16 cells apart or more, else all
+    /// heights are
+    #[arg(long, value_name = "M", value_parser = length)]
+    base_tolerance: Option<f64>,
+}
+
+fn length(text: &str) -> Result<f64, String> {
+    let metres = text.parse().ok();
+    metres
+        .filter(|m: &f64| m.is_finite() && *m >= 0.0)
+        .ok_or_else(|| format!("{text:?} is no length in metres, 0 or more"))
 }
 
 fn wish(text: &str) -> Result<Wish, String> {
@@ -46,11 +58,15 @@ impl RegionArgs {
         mut source: Box<dyn DemSource>,
         quantum: Quantum,
     ) -> Result<(Box<dyn DemSource>, Quantum), BuildError> {
-        if self.tolerances.is_empty() {
+        let is_nested = source.is_nested();
+        if self.tolerances.is_empty() && !is_nested {
             return Ok((source, quantum));
         }
         let quantum_m = choose_quantum(&mut *source, quantum)?;
-        let tolerances = Tolerances::open(&self.tolerances, source.info())?;
+        let mut tolerances = Tolerances::open(&self.tolerances, source.info())?;
+        if is_nested {
+            tolerances = tolerances.with_base(self.base_tolerance, quantum_m, source.info())?;
+        }
         let coarsened = Coarsened::new(source, quantum_m, tolerances)?;
         Ok((Box::new(coarsened), Quantum::Metres(quantum_m)))
     }

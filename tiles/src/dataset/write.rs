@@ -227,10 +227,18 @@ impl DatasetWriter {
     }
 
     /// Leaves out a family of the generation before, which had so many pages.
-    pub(crate) fn replace(&mut self, family: FamilyId, pages: usize) {
+    ///
+    /// # Errors
+    /// [`DatasetError::Damaged`] if that generation says that it has fewer in all.
+    pub(crate) fn replace(&mut self, family: FamilyId, pages: usize) -> Result<(), DatasetError> {
         if self.replaced.insert(family) {
-            self.pages -= pages as u64;
+            let left = self.pages.checked_sub(pages as u64);
+            self.pages = left.ok_or_else(|| {
+                let why = "its manifest says fewer pages than its families have";
+                DatasetError::damaged(&self.folder, why)
+            })?;
         }
+        Ok(())
     }
 
     /// Appends a family. One of the generation before must have been [replaced](Self::replace).

@@ -12,7 +12,7 @@
 mod membrane;
 mod voids;
 
-use super::{DemError, DemInfo, DemSource, OverlapReport};
+use super::{DemError, DemInfo, DemSource, Grain, OverlapReport};
 use escarp_proto::manifest::Resampling;
 use rayon::prelude::*;
 use std::ops::Range;
@@ -122,6 +122,14 @@ impl DemSource for Filled {
             out[to..to + length].copy_from_slice(&self.heights[from..from + length]);
         }
         Ok(())
+    }
+
+    fn grains(&mut self, first_row: u32, rows: u32, out: &mut [Grain]) -> Result<(), DemError> {
+        self.source.grains(first_row, rows, out)
+    }
+
+    fn is_nested(&self) -> bool {
+        self.source.is_nested()
     }
 
     fn finish(&mut self) -> Result<(), DemError> {

@@ -59,7 +59,7 @@ use std::path::PathBuf;
 pub use error::DemError;
 pub use fill::{DEFAULT_FILL_SAMPLES, Filled, FilledRun, Fills, MAX_FILL_SAMPLES};
 pub use folder::expand;
-pub use mosaic::{JoinOptions, MAX_SEAM_SAMPLES, Mosaic, OverlapReport, Priority, Seam};
+pub use mosaic::{Grain, JoinOptions, MAX_SEAM_SAMPLES, Mosaic, OverlapReport, Priority, Seam};
 pub use open::{join_all, open, open_all};
 pub use raw::RawShape;
 pub use rgb::RgbCoding;
@@ -270,6 +270,21 @@ pub trait DemSource: Send {
     /// there is only one input.
     fn overlaps(&self) -> Option<OverlapReport> {
         None
+    }
+
+    /// Whether some samples are of inputs that are coarser than the grid.
+    fn is_nested(&self) -> bool {
+        false
+    }
+
+    /// Which samples of some rows are of coarser inputs: cheap for the rows read last.
+    ///
+    /// # Errors
+    /// As [`read_rows`](Self::read_rows).
+    fn grains(&mut self, first_row: u32, rows: u32, out: &mut [Grain]) -> Result<(), DemError> {
+        let _ = (first_row, rows);
+        out.fill(Grain::Finest);
+        Ok(())
     }
 
     /// Reads what was never asked for, where [`resampling`](Self::resampling) or

@@ -7,6 +7,7 @@
 
 mod fit;
 mod inputs;
+mod nested;
 mod report;
 mod seam;
 
@@ -18,7 +19,8 @@ use std::path::PathBuf;
 
 use super::open::open;
 use super::{DemError, DemInfo, DemSource, OpenOptions, Placement};
-use inputs::{Inputs, Part, PartRows};
+use escarp_proto::manifest::Resampling;
+use inputs::{Input, Inputs, Part, PartRows};
 use seam::{Layer, Window};
 
 /// The most samples that a seam may be blended over.
@@ -27,11 +29,26 @@ pub const MAX_SEAM_SAMPLES: u16 = 256;
 /// Which of several inputs counts where they overlap.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Priority {
-    /// The one named first.
+    /// The one with the finest spacing; of one spacing, the one named first.
     #[default]
+    Finest,
+    /// The one named first.
     First,
     /// The one named last.
     Last,
+}
+
+/// What a sample is of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Grain {
+    /// An input of the finest spacing, or it is blended with one, or a hole.
+    #[default]
+    Finest,
+    /// A coarser input, which has, or was given, samples so many fine cells apart that are page
+    /// corners: one of these, or a place on the triangles between.
+    Facets(u32),
+    /// A coarser input, between its samples.
+    Between,
 }
 
 /// How heights go from one input to the next.
@@ -62,6 +79,10 @@ pub struct Mosaic {
     overlaps: OverlapReport,
     /// Rows whose overlaps are counted, so that reading a row twice counts once.
     counted: Vec<bool>,
+    /// Whether some input is coarser than the mosaic.
+    is_nested: bool,
+    /// Where that is so: the grains of the rows last read, and the first one's number.
+    grains: (u32, Vec<Grain>),
 }
 
 impl Mosaic {
@@ -76,7 +97,7 @@ impl Mosaic {
         options: &OpenOptions,
         join: JoinOptions,
     ) -> Result<Self, DemError> {
-        let mut infos: Vec<DemInfo> = paths
+        let infos: Vec<DemInfo> = paths
             .iter()
             .map(|path| open(path, options).map(|source| source.info().clone()))
             .collect::<Result<_, _>>()?;
@@ -92,6 +113,18 @@ impl Mosaic {
             let hint = format!("give 1 to {MAX_SEAM_SAMPLES}");
             return Err(DemError::usage(&first.path, what, hint));
         }
+        match infos.iter().all(|info| fit::share_spacing(first, info)) {
+            true => Self::of_infos(infos, options, join),
+            false => nested::open(infos, options, join),
+        }
+    }
+
+    /// Of inputs of one spacing.
+    fn of_infos(
+        mut infos: Vec<DemInfo>,
+        options: &OpenOptions,
+        join: JoinOptions,
+    ) -> Result<Self, DemError> {
         let turned = fit::on_one_turn(&infos);
         for other in &turned[1..] {
             check_fit(&turned[0], other)?;
@@ -100,13 +133,23 @@ impl Mosaic {
         if join.priority == Priority::Last {
             infos.reverse();
         }
-        Ok(Self {
-            inputs: Inputs::new(infos, &info, options),
+        let inputs = infos.into_iter().map(Input::file).collect();
+        Ok(Self::of(inputs, info, options, join.seam))
+    }
+
+    /// `inputs` by priority, which lie on the lattice of `info`.
+    fn of(inputs: Vec<Input>, info: DemInfo, options: &OpenOptions, seam: Seam) -> Self {
+        let inputs = Inputs::new(inputs, &info, options);
+        let is_nested = inputs.layers().next().is_some();
+        Self {
             counted: vec![false; info.height as usize],
+            is_nested,
+            inputs,
             info,
-            seam: join.seam,
+            seam,
             overlaps: OverlapReport::default(),
-        })
+            grains: (0, Vec::new()),
+        }
     }
 
     /// What overlapping inputs said of the same samples, over the rows read so far.
@@ -118,12 +161,17 @@ impl Mosaic {
     fn read_exact(&mut self, first_row: u32, rows: u32, out: &mut [f64]) -> Result<(), DemError> {
         out.fill(f64::NAN);
         let width = self.info.width as usize;
+        let (grains, is_nested) = (&mut self.grains.1, self.is_nested);
         let (overlaps, counted, placement) =
             (&mut self.overlaps, &self.counted, &self.info.placement);
         self.inputs.read(first_row, rows, false, |part, read| {
             for (row, heights) in rows_of(part, read) {
                 let start = (row - first_row) as usize * width + part.column as usize;
                 let out = &mut out[start..start + heights.len()];
+                if is_nested {
+                    let grains = &mut grains[start..start + heights.len()];
+                    mark_row(heights, out, grains, part, None);
+                }
                 let report = (!counted[row as usize]).then_some(&mut *overlaps);
                 merge_row(heights, out, report, (part.column, row), placement);
             }
@@ -147,6 +195,7 @@ impl Mosaic {
             heights: vec![f64::NAN; (bottom - top) as usize * width],
         };
         let step_m = (self.info.sample_type.is_integer()).then_some(self.info.height_step_m);
+        let (grains, is_nested) = (&mut self.grains.1, self.is_nested);
         let (overlaps, counted, placement) =
             (&mut self.overlaps, &self.counted, &self.info.placement);
         self.inputs.read(top, bottom - top, true, |part, read| {
@@ -158,6 +207,11 @@ impl Mosaic {
                 let out = &mut window.heights[start..start + heights.len()];
                 let weights = weights.next().unwrap_or_default();
                 let asked = (first_row..first_row + rows).contains(&row);
+                if asked && is_nested {
+                    let start = (row - first_row) as usize * width + part.column as usize;
+                    let grains = &mut grains[start..start + heights.len()];
+                    mark_row(heights, out, grains, part, Some(weights));
+                }
                 if asked && !counted[row as usize] {
                     report_row(heights, out, overlaps, (part.column, row), placement);
                 }
@@ -183,6 +237,11 @@ impl DemSource for Mosaic {
 
     fn read_rows(&mut self, first_row: u32, rows: u32, out: &mut [f64]) -> Result<(), DemError> {
         self.info.check_band(first_row, rows, out)?;
+        if self.is_nested {
+            self.grains.0 = first_row;
+            self.grains.1.clear();
+            self.grains.1.resize(out.len(), Grain::Finest);
+        }
         match self.seam {
             Seam::Exact => self.read_exact(first_row, rows, out)?,
             Seam::Blend(over) => self.read_blended(first_row, rows, over, out)?,
@@ -192,7 +251,32 @@ impl DemSource for Mosaic {
     }
 
     fn overlaps(&self) -> Option<OverlapReport> {
-        Some(self.overlaps)
+        let layers = self.inputs.layers().filter_map(DemSource::overlaps);
+        Some(layers.fold(self.overlaps, OverlapReport::and))
+    }
+
+    fn is_nested(&self) -> bool {
+        self.is_nested
+    }
+
+    fn grains(&mut self, first_row: u32, rows: u32, out: &mut [Grain]) -> Result<(), DemError> {
+        if self.is_nested && (self.grains.0, self.grains.1.len()) != (first_row, out.len()) {
+            let mut heights = vec![0.0; out.len()];
+            self.read_rows(first_row, rows, &mut heights)?;
+        }
+        match self.is_nested {
+            true => out.copy_from_slice(&self.grains.1),
+            false => out.fill(Grain::Finest),
+        }
+        Ok(())
+    }
+
+    fn finish(&mut self) -> Result<(), DemError> {
+        self.inputs.finish()
+    }
+
+    fn resampling(&self) -> Option<Resampling> {
+        nested::together(self.inputs.layers().filter_map(DemSource::resampling))
     }
 
     fn data_columns(&self, first_row: u32, rows: u32) -> Vec<Range<u32>> {
@@ -228,6 +312,28 @@ fn layer<'a>(part: &Part, read: &'a PartRows, top: u32) -> Layer<'a> {
         columns: column..column + width,
         rows: row..row + read.heights.len() / width,
         heights: &read.heights,
+    }
+}
+
+/// Notes of what grain a part's heights are, before they are merged. A height that is blended is
+/// stored as it is.
+fn mark_row(
+    heights: &[f64],
+    out: &[f64],
+    grains: &mut [Grain],
+    part: &Part,
+    weights: Option<&[f32]>,
+) {
+    for (i, (new, have)) in heights.iter().zip(out).enumerate() {
+        if new.is_nan() {
+            continue;
+        }
+        let is_blended = weights.is_some_and(|weights| weights[i] < 1.0);
+        if have.is_nan() {
+            grains[i] = part.layer.unwrap_or_default();
+        } else if is_blended {
+            grains[i] = Grain::Finest;
+        }
     }
 }
 

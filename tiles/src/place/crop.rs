@@ -1,6 +1,6 @@
 //! A window of a source, sample for sample.
 
-use crate::dem::{DemError, DemInfo, DemSource, OverlapReport};
+use crate::dem::{DemError, DemInfo, DemSource, Grain, OverlapReport};
 use std::ops::Range;
 
 /// A source of which only a window is seen, and read.
@@ -60,6 +60,22 @@ impl DemSource for Cropped {
 
     fn overlaps(&self) -> Option<OverlapReport> {
         self.source.overlaps()
+    }
+
+    fn grains(&mut self, first_row: u32, rows: u32, out: &mut [Grain]) -> Result<(), DemError> {
+        let across = self.source.info().width as usize;
+        let mut band = vec![Grain::Finest; rows as usize * across];
+        self.source.grains(first_row + self.row, rows, &mut band)?;
+        let from = self.column as usize;
+        let lines = band.chunks_exact(across);
+        for (out, line) in out.chunks_exact_mut(self.info.width as usize).zip(lines) {
+            out.copy_from_slice(&line[from..from + out.len()]);
+        }
+        Ok(())
+    }
+
+    fn is_nested(&self) -> bool {
+        self.source.is_nested()
     }
 
     fn finish(&mut self) -> Result<(), DemError> {

@@ -9,6 +9,7 @@
 
 mod blocks;
 mod crop;
+mod facets;
 mod mapping;
 mod measure;
 mod resampled;
@@ -17,9 +18,10 @@ mod target;
 #[cfg(test)]
 mod tests;
 
+pub use facets::Facets;
 pub use resampled::Resampled;
 
-use crate::dem::{Crs, DemError, DemInfo, DemSource};
+use crate::dem::{Crs, DemError, DemInfo, DemSource, Grain};
 use crop::Cropped;
 use mapping::Mapping;
 use target::Target;
@@ -89,6 +91,23 @@ pub fn place(source: Box<dyn DemSource>, wish: &Wish) -> Result<Box<dyn DemSourc
     Ok(Box::new(resampled))
 }
 
+/// Brings a source to a given grid in its own CRS, linearly between its samples; exactly where the
+/// grid's samples are some of its own.
+///
+/// # Errors
+/// Those of reading.
+pub fn onto(source: Box<dyn DemSource>, grid: DemInfo) -> Result<Box<dyn DemSource>, DemError> {
+    let mapping = Mapping::same(source.info());
+    let target = Target {
+        placement: grid.placement,
+        width: grid.width,
+        height: grid.height,
+        crs: grid.crs,
+    };
+    let resampled = Resampled::new(source, target, mapping, Interpolation::Linear)?;
+    Ok(Box::new(resampled))
+}
+
 /// Unnamed or differently named, what transforms alike is one.
 fn same_crs(a: &Crs, b: &Crs) -> bool {
     a == b
@@ -144,6 +163,14 @@ impl DemSource for Stated {
 
     fn finish(&mut self) -> Result<(), DemError> {
         self.source.finish()
+    }
+
+    fn grains(&mut self, first_row: u32, rows: u32, out: &mut [Grain]) -> Result<(), DemError> {
+        self.source.grains(first_row, rows, out)
+    }
+
+    fn is_nested(&self) -> bool {
+        self.source.is_nested()
     }
 
     fn resampling(&self) -> Option<escarp_proto::manifest::Resampling> {

@@ -41,7 +41,7 @@ pub fn compact(
     moved.sort_unstable_by_key(|entry| (entry.segment, entry.offset));
     for (done, entry) in moved.iter().enumerate() {
         let (family, pages) = FamilyBytes::copy(dataset, entry)?;
-        writer.replace(entry.family, pages);
+        writer.replace(entry.family, pages)?;
         writer.append(&family)?;
         progress(done as u64 + 1, moved.len() as u64);
     }

@@ -115,7 +115,15 @@ pub fn update(
     }
     run.above(finest, change)?;
     let mut next = manifest.clone();
-    next.valid_samples = manifest.valid_samples + sums.added - sums.removed;
+    let valid_samples = manifest.valid_samples.checked_add(sums.added);
+    let valid_samples = valid_samples.and_then(|all| all.checked_sub(sums.removed));
+    next.valid_samples = valid_samples.ok_or_else(|| BuildError::Unfit {
+        path: dataset.folder().to_path_buf(),
+        why: format!(
+            "its manifest says {} samples with data, but {} were removed",
+            manifest.valid_samples, sums.removed
+        ),
+    })?;
     next.height_range = range(dataset, &sums, &reach)?;
     if next.height_range.is_none() {
         return Err(BuildError::Unfit {
@@ -294,7 +302,7 @@ impl Run<'_> {
         };
         self.pages += mended.pages_changed;
         self.families += 1;
-        self.writer.replace(mended.family, mended.pages_before);
+        self.writer.replace(mended.family, mended.pages_before)?;
         match bytes {
             Some(bytes) => Ok(self.writer.append(&bytes)?),
             None => Ok(()),

@@ -94,13 +94,17 @@ pub fn verify(
             .map(|&page| Bounds::of(dataset, page))
             .try_reduce(Bounds::default, |a, b| Ok(a.merge(b)))?,
     };
+    let stated = dataset.manifest().pages;
+    let counted = (stated != records)
+        .then(|| format!("the manifest says {stated} pages, but {records} have a record"));
+    let counted: Vec<String> = counted.into_iter().collect();
     Ok(VerifyReport {
         records,
         shared: shared.comparisons,
         pages_a_level: bounds.pages_a_level,
         comparisons: bounds.finding.comparisons,
         largest_ratio: bounds.finding.largest_ratio,
-        broken: [shared.broken, bounds.finding.broken].concat(),
+        broken: [counted, shared.broken, bounds.finding.broken].concat(),
     })
 }
 

@@ -1,13 +1,14 @@
 //! Datasets whose files are hostile under checksums that match: what an attacker would make.
 
 use super::crc32c;
-use escarp_proto::geometry::PageId;
+use escarp_proto::geometry::{PageId, Slot};
 use escarp_proto::manifest::VERSION;
 use escarp_proto::page::{Codec, revision};
 use escarp_tiles::dataset::{Dataset, FamilyId, FamilyTable, PageReader};
 use escarp_tiles::dem::DemSource;
 use escarp_tiles::export::DatasetSource;
-use escarp_tiles::verify::{Share, survey, verify};
+use escarp_tiles::update::{Edit, compact, update};
+use escarp_tiles::verify::{Share, diff, survey, verify};
 use std::fs;
 use std::path::Path;
 
@@ -62,6 +63,9 @@ pub fn dataset(data: &[u8]) {
     }
     let _ = survey(&dataset);
     let _ = verify(&dataset, Share::PagesALevel(1, 0), &|_, _| {});
+    let same = diff(&dataset, &dataset, &|_, _| {});
+    assert!(same.is_err() || same.is_ok_and(|found| found.samples == 0));
+    change(&dataset);
     read_rows(dataset);
 }
 
@@ -82,6 +86,22 @@ fn read_records(dataset: &Dataset) {
             assert_eq!(found.expect("stored").bytes, record.bytes);
             let _ = pages.page(record.page);
         }
+    }
+}
+
+/// A part is removed, and what is left compacted.
+fn change(dataset: &Dataset) {
+    let edit = Edit {
+        patches: Vec::new(),
+        remove: vec![[2.0, 1.0, 18.0, 5.0]],
+        sources: Vec::new(),
+    };
+    if update(dataset, edit, &|_, _| {}).is_err() {
+        return;
+    }
+    let changed = Dataset::open(dataset.folder()).expect("it was published");
+    if compact(&changed, 0.0, &|_, _| {}).is_ok() {
+        Dataset::open(dataset.folder()).expect("it was published");
     }
 }
 
@@ -127,35 +147,61 @@ fn seal_entry(entry: &mut [u8], segment: &mut [u8], unsealed: u8) {
     entry[16..20].copy_from_slice(&(bytes as u32).to_le_bytes());
     entry[20..24].fill(0);
     let family = &mut segment[offset..offset + bytes];
-    let Some((head, rest)) = family.split_first_chunk_mut::<10>() else {
+    if family.len() < 9 {
         return;
-    };
-    head[..8].copy_from_slice(&id);
-    let table = (usize::from(u16::from_le_bytes([head[8], head[9]])) * 7).min(rest.len());
-    if unsealed & 4 == 0 {
-        let (table, records) = rest.split_at_mut(table);
-        seal_records(u64::from_le_bytes(id), table, records);
     }
-    let sum = crc32c(&family[..10 + table]);
+    family[..8].copy_from_slice(&id);
+    let table = match unsealed & 4 {
+        0 => seal_family(u64::from_le_bytes(id), family),
+        _ => None,
+    };
+    let sum = crc32c(&family[..table.unwrap_or(bytes)]);
     entry[24..28].copy_from_slice(&sum.to_le_bytes());
 }
 
-fn seal_records(family: u64, table: &mut [u8], mut records: &[u8]) {
-    let last = table.len() / 7;
-    for (number, entry) in table.chunks_exact_mut(7).enumerate() {
-        let mut length = usize::from(u16::from_le_bytes([entry[1], entry[2]]));
-        if number + 1 == last && records.len() <= usize::from(u16::MAX) {
-            // The last record takes what is left, so that lengths add up.
-            length = records.len();
-            entry[1..3].copy_from_slice(&(length as u16).to_le_bytes());
-        }
-        let (record, rest) = records.split_at(length.min(records.len()));
-        let slot = escarp_proto::geometry::Slot::from_index(entry[0]);
-        let page = FamilyId::from_u64(family).and_then(|family| family.page(slot));
-        let sum = revision(page.unwrap_or(PageId::ROOT), record);
-        entry[3..7].copy_from_slice(&sum.to_le_bytes());
-        records = rest;
+/// Makes the revisions in a family's table match its records, and the length of a lone one the
+/// space that there is. The table's length; `None` if there is none that fits.
+fn seal_family(family: u64, bytes: &mut [u8]) -> Option<usize> {
+    let count = usize::from(bytes[8]) + 1;
+    let slots_at = 9;
+    let lengths_at = slots_at
+        + match count {
+            256 => 0,
+            32.. => 32,
+            _ => count,
+        };
+    let width = usize::from(*bytes.get(lengths_at + 2)?).min(16);
+    let revisions_at = lengths_at + 3 + (count * width).div_ceil(8);
+    let records_at = revisions_at + 4 * count;
+    let space = bytes.len().checked_sub(records_at)?;
+    if count == 1 && width == 0 {
+        bytes[lengths_at..lengths_at + 2].copy_from_slice(&(space as u16).to_le_bytes());
     }
+    let shortest = usize::from(u16::from_le_bytes([
+        bytes[lengths_at],
+        bytes[lengths_at + 1],
+    ]));
+    let listed = bytes[slots_at..lengths_at].to_vec();
+    let has = |slot: &usize| match count {
+        256 => true,
+        32.. => listed[slot / 8] >> (slot % 8) & 1 == 1,
+        _ => listed.contains(&(*slot as u8)),
+    };
+    let mut at = records_at;
+    for (number, slot) in (0..256).filter(has).take(count).enumerate() {
+        let bit = |k: usize| {
+            let k = number * width + k;
+            usize::from(bytes[lengths_at + 3 + k / 8] >> (k % 8) & 1)
+        };
+        let length = shortest + (0..width).map(|k| bit(k) << k).sum::<usize>();
+        let record = at..(at + length).min(bytes.len());
+        let slot = Slot::from_index(slot as u8);
+        let page = FamilyId::from_u64(family).and_then(|family| family.page(slot));
+        let sum = revision(page.unwrap_or(PageId::ROOT), &bytes[record.clone()]);
+        bytes[revisions_at + 4 * number..][..4].copy_from_slice(&sum.to_le_bytes());
+        at = record.end;
+    }
+    Some(records_at)
 }
 
 fn sealed_fills(runs: &[u8], shape: &Shape) -> Vec<u8> {
@@ -189,9 +235,10 @@ fn write_dataset(folder: &Path, shape: &Shape, index: &[u8], segment: &[u8], fil
         ),
     };
     let [width, height] = shape.samples;
+    let valid = width * height;
     let manifest = format!(
         r#"{{"format":"escarp","version":{VERSION},"generation":{GENERATION},"grid_levels":8,
-        "samples":[{width},{height}],"valid_samples":1000,"height_range":[0,1],{filled}
+        "samples":[{width},{height}],"valid_samples":{valid},"height_range":[0,1],{filled}
         "georef":{{"origin_m":[0,0],"sample_spacing_m":[1,1],"quantum_m":1,"plane":{{"kind":"local"}}}},
         "storage_error_m":0,"codec":{},"pages":1,"segments":[{{"file":"seg-1-0","bytes":{}}}],
         "index":{{"bytes":{},"crc32c":{}}},"sources":[]}}"#,

@@ -22,7 +22,7 @@ mod tolerance;
 pub use tolerance::{Tolerances, Wish};
 
 use super::quantise::HOLE;
-use crate::dem::{DemError, DemInfo, DemSource, Fills, OverlapReport};
+use crate::dem::{DemError, DemInfo, DemSource, Fills, Grain, OverlapReport};
 use blocks::{BAND, Cut, Field, Given};
 use escarp_proto::geometry::GridLevels;
 use escarp_proto::manifest::{Resampling, Tolerance};
@@ -102,13 +102,15 @@ impl Coarsened {
         let rows = (last - first).min(BAND) + 1;
         let mut given = Given::new(first, rows, width);
         // Grid rows are counted from the south, a source's from the north.
-        let (mut heights, mut allowed) = (Vec::new(), Vec::new());
+        let (mut heights, mut grains, mut allowed) = (Vec::new(), Vec::new(), Vec::new());
         for start in (0..rows).step_by(READ_ROWS as usize) {
             let n = READ_ROWS.min(rows - start);
             let source_row = last - (first + rows - 1) + start;
             heights.resize((n * width) as usize, 0.0);
             self.source.read_rows(source_row, n, &mut heights)?;
-            self.tolerances.rows(source_row, n, &mut allowed)?;
+            grains.resize(heights.len(), Grain::Finest);
+            self.source.grains(source_row, n, &mut grains)?;
+            self.tolerances.rows(source_row, n, &grains, &mut allowed)?;
             for i in 0..n as usize {
                 let at = i * width as usize..(i + 1) * width as usize;
                 let y = first + rows - 1 - start - i as u32;

@@ -2,7 +2,7 @@
 
 use super::mask::Mask;
 use super::polygon::Polygons;
-use crate::dem::{DemError, DemInfo};
+use crate::dem::{DemError, DemInfo, Grain};
 use escarp_proto::manifest::Tolerance;
 use std::path::{Path, PathBuf};
 
@@ -41,6 +41,7 @@ struct Region {
 pub struct Tolerances {
     regions: Vec<Region>,
     elsewhere_m: f64,
+    base: Option<Base>,
     width: u32,
     touched: Vec<bool>,
     core: Vec<bool>,
@@ -78,6 +79,7 @@ impl Tolerances {
         Ok(Tolerances {
             regions,
             elsewhere_m,
+            base: None,
             width: info.width,
             touched: Vec::new(),
             core: Vec::new(),
@@ -85,9 +87,34 @@ impl Tolerances {
         })
     }
 
-    /// Regions, the one everywhere else included.
+    /// Regions, the one everywhere else included, and that of coarser inputs.
     pub(super) fn len(&self) -> usize {
-        self.regions.len() + 1
+        self.regions.len() + 1 + usize::from(self.base.is_some())
+    }
+
+    /// Where only inputs coarser than the grid count, and no region does, heights may be moved by
+    /// `tolerance_m`. If that is `None`, samples of theirs that are page corners stay, and heights
+    /// between these may be moved by as much as the format rounds there.
+    ///
+    /// # Errors
+    /// [`DemError::Usage`] if it is no length.
+    pub fn with_base(
+        mut self,
+        tolerance_m: Option<f64>,
+        quantum_m: f64,
+        info: &DemInfo,
+    ) -> Result<Tolerances, DemError> {
+        if let Some(wrong) = tolerance_m.filter(|m| !is_length(*m)) {
+            let what = format!("a tolerance of {wrong} m where only coarser inputs count");
+            let hint = "give a length in metres, 0 or more";
+            return Err(DemError::usage(&info.path, what, hint));
+        }
+        self.base = Some(Base {
+            wished_m: tolerance_m,
+            rounding_m: ROUNDING_QUANTA * quantum_m,
+            height: info.height,
+        });
+        Ok(self)
     }
 
     /// The tolerance of each sample of some rows of the source, and the region that it lies in. A
@@ -96,6 +123,7 @@ impl Tolerances {
         &mut self,
         first_row: u32,
         rows: u32,
+        grains: &[Grain],
         out: &mut Vec<(f64, u8)>,
     ) -> Result<(), DemError> {
         let samples = rows as usize * self.width as usize;
@@ -127,10 +155,20 @@ impl Tolerances {
                 }
             }
         }
-        for ((allowed, _), settled) in out.iter_mut().zip(&self.settled) {
-            if !settled {
-                *allowed = allowed.min(self.elsewhere_m);
+        for (at, (allowed, which)) in out.iter_mut().enumerate() {
+            if self.settled[at] {
+                continue;
             }
+            let grain = grains.get(at).copied().unwrap_or_default();
+            let base = self.base.filter(|_| grain != Grain::Finest);
+            if base.is_some() && *allowed == f64::INFINITY {
+                *which = elsewhere + 1;
+            }
+            let base_m = base.map_or(0.0, |base| {
+                let (x, row) = (at as u32 % self.width, first_row + at as u32 / self.width);
+                base.tolerance_m(grain, x, row)
+            });
+            *allowed = allowed.min(self.elsewhere_m.max(base_m));
         }
         Ok(())
     }
@@ -141,7 +179,11 @@ impl Tolerances {
             let name = Some(region.name.clone());
             (region.tolerance_m, name)
         });
-        let all = regions.chain([(self.elsewhere_m, None)]);
+        let base = self.base.map(|base| {
+            let most_m = self.elsewhere_m.max(base.most_m());
+            (most_m, Some(BASE_REGION.to_owned()))
+        });
+        let all = regions.chain([(self.elsewhere_m, None)]).chain(base);
         let stated = all.zip(largest);
         let tolerance = |((tolerance_m, region), &(rounding_m, moved)): ((f64, _), &(f64, u32))| {
             let moved_m = f64::from(moved) * quantum_m;
@@ -154,6 +196,42 @@ impl Tolerances {
             }
         };
         stated.map(tolerance).collect()
+    }
+}
+
+/// What a manifest calls the samples of inputs that are coarser than the grid.
+const BASE_REGION: &str = "coarser inputs";
+
+/// Quanta by which a height on the triangles between page corners may differ from what the format
+/// has there: half of one where it is rounded here, less than one for each level of pages there.
+const ROUNDING_QUANTA: f64 = 2.0;
+
+/// How far heights of coarser inputs may be moved.
+#[derive(Debug, Clone, Copy)]
+struct Base {
+    wished_m: Option<f64>,
+    rounding_m: f64,
+    height: u32,
+}
+
+impl Base {
+    fn most_m(&self) -> f64 {
+        self.wished_m.unwrap_or(self.rounding_m)
+    }
+
+    fn tolerance_m(&self, grain: Grain, x: u32, row: u32) -> f64 {
+        match (self.wished_m, grain) {
+            (_, Grain::Finest) => 0.0,
+            (Some(wished_m), _) => wished_m,
+            (None, Grain::Between) => 0.0,
+            (None, Grain::Facets(cells)) => {
+                let y = self.height - 1 - row;
+                match x.is_multiple_of(cells) && y.is_multiple_of(cells) {
+                    true => 0.0,
+                    false => self.rounding_m,
+                }
+            }
+        }
     }
 }
 

@@ -15,21 +15,8 @@ const MAX_OFF_STEP: f64 = 1e-9;
 
 /// Refuses inputs that do not lie on one lattice.
 pub(in crate::dem) fn check_fit(first: &DemInfo, other: &DemInfo) -> Result<(), DemError> {
+    check_crs(first, other)?;
     let (a, b) = (&first.placement, &other.placement);
-    if first.crs == Crs::Local || other.crs == Crs::Local {
-        let hint = "give it one file without georeference, or files that all have one";
-        let what = format!("it cannot be placed beside {}", first.path.display());
-        return Err(DemError::usage(&other.path, what, hint));
-    }
-    if first.crs != other.crs {
-        return Err(misfit(
-            first,
-            other,
-            "the coordinate system",
-            &first.crs,
-            &other.crs,
-        ));
-    }
     let cells = f64::from(other.width.max(other.height));
     for (name, a, b) in [
         ("the spacing", a.dx, b.dx),
@@ -50,6 +37,31 @@ pub(in crate::dem) fn check_fit(first: &DemInfo, other: &DemInfo) -> Result<(), 
         }
     }
     Ok(())
+}
+
+/// Refuses inputs in different CRSs.
+pub(super) fn check_crs(first: &DemInfo, other: &DemInfo) -> Result<(), DemError> {
+    if first.crs == Crs::Local || other.crs == Crs::Local {
+        let hint = "give it one file without georeference, or files that all have one";
+        let what = format!("it cannot be placed beside {}", first.path.display());
+        return Err(DemError::usage(&other.path, what, hint));
+    }
+    if first.crs != other.crs {
+        return Err(misfit(
+            first,
+            other,
+            "the coordinate system",
+            &first.crs,
+            &other.crs,
+        ));
+    }
+    Ok(())
+}
+
+/// Whether two inputs have one spacing.
+pub(super) fn share_spacing(a: &DemInfo, b: &DemInfo) -> bool {
+    let same = |a: f64, b: f64| ((a - b) / a).abs() <= MAX_SPACING_DIFFERENCE;
+    same(a.placement.dx, b.placement.dx) && same(a.placement.dy, b.placement.dy)
 }
 
 fn misfit(
@@ -117,7 +129,7 @@ pub(super) fn union(infos: &[DemInfo]) -> Result<DemInfo, DemError> {
     })
 }
 
-fn side(first: &DemInfo, cells: f64) -> Result<u32, DemError> {
+pub(super) fn side(first: &DemInfo, cells: f64) -> Result<u32, DemError> {
     if cells <= f64::from(MAX_SIDE_SAMPLES) {
         return Ok(cells as u32);
     }

@@ -2,7 +2,7 @@
 
 use super::super::open::open;
 use super::super::{DemError, DemInfo, DemSource, OpenOptions};
-use super::fit;
+use super::{Grain, fit};
 use rayon::prelude::*;
 
 /// Rows of a bucket of the index.
@@ -20,12 +20,33 @@ const MOST_HELD_BYTES: u64 = 32 << 20;
 /// Inputs beyond those that may stay open are opened for each band, this many at a time.
 const PASSING: usize = 8;
 
+/// An input, before it is placed.
+pub(super) struct Input {
+    info: DemInfo,
+    layer: Option<(Box<dyn DemSource>, Grain)>,
+}
+
+impl Input {
+    /// One that is opened by its path.
+    pub(super) fn file(info: DemInfo) -> Input {
+        Input { info, layer: None }
+    }
+
+    /// One that stays open: `info` may have other longitudes than the source's own.
+    pub(super) fn layer(info: DemInfo, source: Box<dyn DemSource>, grain: Grain) -> Input {
+        let layer = Some((source, grain));
+        Input { info, layer }
+    }
+}
+
 /// One input, at its place in the mosaic.
 pub(super) struct Part {
     pub(super) info: DemInfo,
     pub(super) column: u32,
     pub(super) row: u32,
     source: Option<Box<dyn DemSource>>,
+    /// It is a layer that is never closed, of this grain.
+    pub(super) layer: Option<Grain>,
     /// Rows of the last band that may be asked for again: the first one's number, and heights.
     kept: Option<(u32, Vec<f64>)>,
 }
@@ -48,21 +69,23 @@ pub(super) struct Inputs {
 }
 
 impl Inputs {
-    /// `infos` by priority; `mosaic` is what they make together.
-    pub(super) fn new(infos: Vec<DemInfo>, mosaic: &DemInfo, options: &OpenOptions) -> Inputs {
+    /// `inputs` by priority; `mosaic` is what they make together.
+    pub(super) fn new(inputs: Vec<Input>, mosaic: &DemInfo, options: &OpenOptions) -> Inputs {
         let mut buckets = vec![Vec::new(); mosaic.height.div_ceil(BUCKET_ROWS) as usize];
-        let mut parts = Vec::with_capacity(infos.len());
-        for (number, info) in infos.into_iter().enumerate() {
+        let mut parts = Vec::with_capacity(inputs.len());
+        for (number, Input { info, layer }) in inputs.into_iter().enumerate() {
             let (column, row) = fit::place(&info, &mosaic.placement);
             let (first, last) = (row / BUCKET_ROWS, (row + info.height - 1) / BUCKET_ROWS);
             for bucket in &mut buckets[first as usize..=last as usize] {
                 bucket.push(number as u32);
             }
+            let (source, layer) = layer.unzip();
             parts.push(Part {
                 info,
                 column,
                 row,
-                source: None,
+                source,
+                layer,
                 kept: None,
             });
         }
@@ -97,6 +120,19 @@ impl Inputs {
         parts
     }
 
+    /// Layers, which are always open.
+    pub(super) fn layers(&self) -> impl Iterator<Item = &dyn DemSource> {
+        let layers = self.parts.iter().filter(|part| part.layer.is_some());
+        layers.filter_map(|part| part.source.as_deref())
+    }
+
+    pub(super) fn finish(&mut self) -> Result<(), DemError> {
+        let layers = self.parts.iter_mut().filter(|part| part.layer.is_some());
+        layers
+            .filter_map(|part| part.source.as_mut())
+            .try_for_each(|source| source.finish())
+    }
+
     /// Gives the rows of all parts that meet a band to `take`, by priority. Parts that the band
     /// does not meet are closed. `keep` keeps the rows for a band that shares some of them.
     pub(super) fn read(
@@ -109,7 +145,7 @@ impl Inputs {
         let met = self.meeting(first_row, rows);
         for number in std::mem::take(&mut self.busy) {
             if met.binary_search(&number).is_err() {
-                self.parts[number].source = None;
+                self.parts[number].close();
                 self.parts[number].kept = None;
             }
         }
@@ -124,7 +160,7 @@ impl Inputs {
                 let part = &mut self.parts[number];
                 part.kept = keep.then_some((rows.first_row, rows.heights));
                 if group > 0 {
-                    part.source = None;
+                    part.close();
                 }
                 self.busy.push(number);
             }
@@ -179,6 +215,12 @@ impl Inputs {
 }
 
 impl Part {
+    fn close(&mut self) {
+        if self.layer.is_none() {
+            self.source = None;
+        }
+    }
+
     /// The part's rows that lie in a band of the mosaic's rows; those that were kept are not read
     /// again.
     fn read(

@@ -17,6 +17,20 @@ pub struct OverlapReport {
 }
 
 impl OverlapReport {
+    /// Both together.
+    pub(super) fn and(self, other: OverlapReport) -> OverlapReport {
+        let larger = if other.largest_m > self.largest_m {
+            &other
+        } else {
+            &self
+        };
+        OverlapReport {
+            overlapping: self.overlapping + other.overlapping,
+            differing: self.differing + other.differing,
+            ..*larger
+        }
+    }
+
     /// Compares two heights of the sample at a column and row of the mosaic.
     pub(super) fn compare(
         &mut self,
