@@ -3,7 +3,7 @@
 use super::build::rounded_up;
 use super::grid::GridArgs;
 use crate::dataset::Dataset;
-use crate::dem::{DemSource, write_geotiff_as};
+use crate::dem::{DemSource, MAX_SIDE_SAMPLES, write_geotiff_as};
 use crate::export::{DatasetSource, encoding_for, range_m};
 use anyhow::{Result, bail};
 use clap::Args;
@@ -45,7 +45,17 @@ pub(super) fn run(args: &ExportArgs) -> Result<ExitCode> {
         let output = args.output.display();
         bail!("{output} exists; give --overwrite to replace it");
     }
-    let dataset = DatasetSource::new(Dataset::open(&args.dataset)?);
+    let dataset = Dataset::open(&args.dataset)?;
+    if let Some(side) = dataset
+        .manifest()
+        .samples
+        .into_iter()
+        .find(|&n| n > MAX_SIDE_SAMPLES)
+    {
+        let name = args.dataset.display();
+        bail!("{name}: {side} samples on a side, allowed are {MAX_SIDE_SAMPLES}");
+    }
+    let dataset = DatasetSource::new(dataset);
     let mut placed = args.grid.place(Box::new(dataset.clone()), args.spacing)?;
     let encoding = encoding_for(placed.info(), range_m(&dataset, &*placed));
     write_geotiff_as(&args.output, &mut *placed, encoding)?;

@@ -64,7 +64,9 @@ pub fn from_user(text: &str) -> Result<Crs, String> {
     match text.split_once(':') {
         Some((authority, code)) if authority.eq_ignore_ascii_case("EPSG") => match code.parse() {
             Ok(code) => from_epsg(code),
-            Err(_) => Err(format!("{shown:?} has no number after the colon")),
+            Err(_) => Err(format!(
+                "{shown:?} is no EPSG code: allowed is one number after the colon, up to 65535"
+            )),
         },
         _ => Err(format!(
             "{shown:?} is no CRS: allowed are EPSG:code, a PROJ string that starts with +proj=, WKT, \

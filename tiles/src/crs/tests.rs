@@ -210,7 +210,7 @@ fn the_code_of_the_worlds_web_maps_is_known_by_its_name() {
 fn what_is_not_understood_says_so() {
     for (text, says) in [
         ("EPSG:99", "not known"),
-        ("EPSG:x", "no number"),
+        ("EPSG:x", "allowed is one number"),
         ("EPSG:4978", "geocentric"),
         ("Moon", "allowed are EPSG:code"),
         ("+proj=nothing", "not understood"),

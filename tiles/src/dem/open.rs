@@ -42,6 +42,10 @@ pub(super) fn open_nested(
     if path.is_dir() {
         return open_folder(path, options);
     }
+    if std::fs::metadata(path).is_ok_and(|found| !found.is_file()) {
+        let hint = "copy what it gives into a file";
+        return Err(DemError::usage(path, "it is a pipe or a device", hint));
+    }
     let head = Head::read(path)?;
     let kind = detect::kind_of(path, &head);
     match (kind, &options.raw) {

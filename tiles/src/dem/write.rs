@@ -260,10 +260,21 @@ fn write_tags<W: Write + Seek, K: TiffKind>(
     directory.write_tag(Tag::TileWidth, TILE)?;
     directory.write_tag(Tag::TileLength, tile_height)?;
     directory.write_tag(Tag::GdalNodata, &encoding.nodata()[..])?;
-    if info.crs != Crs::Local {
-        write_place(directory, info)?;
+    match info.crs {
+        Crs::Local => write_spacing(directory, info),
+        _ => write_place(directory, info),
     }
-    Ok(())
+}
+
+/// Without georeference: the spacing alone. Readers take such files for cell-registered.
+fn write_spacing<W: Write + Seek, K: TiffKind>(
+    directory: &mut Directory<'_, W, K>,
+    info: &DemInfo,
+) -> Result<(), TiffError> {
+    let place = &info.placement;
+    let (x, y) = (place.x0 - place.dx / 2.0, place.y0 + place.dy / 2.0);
+    directory.write_tag(Tag::ModelPixelScaleTag, &[place.dx, place.dy, 0.0][..])?;
+    directory.write_tag(Tag::ModelTiepointTag, &[0.0, 0.0, 0.0, x, y, 0.0][..])
 }
 
 fn write_place<W: Write + Seek, K: TiffKind>(

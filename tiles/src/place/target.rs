@@ -88,13 +88,19 @@ impl Target {
                     &info.path, what, found, allowed, "samples",
                 ));
             }
-            if samples.is_nan() || samples < 1.0 {
+            // One line of samples has no surface.
+            let least = if info.width.min(info.height) < 2 {
+                1.0
+            } else {
+                2.0
+            };
+            if samples.is_nan() || samples < least {
                 let what = format!(
-                    "no sample of the grid lies inside west {west}, south {south}, east {east}, \
-                     north {north}"
+                    "fewer than {least} columns or rows of the grid lie inside west {west}, south {south}, \
+                     east {east}, north {north}"
                 );
-                let hint =
-                    "give wider --bounds or a finer --spacing, in the units of the grid's CRS";
+                let hint = "give wider --bounds or a finer --spacing, in the units of the grid's CRS (degrees for \
+                     longitude and latitude; for metres give a projected --crs, too)";
                 return Err(DemError::usage(&info.path, what, hint));
             }
             Ok(samples as u32)
@@ -223,7 +229,8 @@ fn in_the_turn_of(extent: &[f64; 4], bounds: [f64; 4], crs: &Crs, info: &DemInfo
             east += turns * 360.0;
         }
         Crs::Local => {
-            let lowest = -f64::from(info.height - 1) * info.placement.dy;
+            let place = &info.placement;
+            let lowest = place.y0 - f64::from(info.height - 1) * place.dy;
             south += lowest;
             north += lowest;
         }
