@@ -280,6 +280,37 @@ fn real_files_have_their_published_size_heights_and_holes() {
             [192.0, 8642.0],
             130_953,
         ),
+        (
+            "greenriver_lidar_1m_f32.tif",
+            &plain,
+            [2000, 1000],
+            [1297.29, 1347.03],
+            0,
+        ),
+        (
+            "rio_elev_f32_3857.tif",
+            &plain,
+            [512, 512],
+            [0.44, 114.92],
+            0,
+        ),
+        ("N49W123.tif", &plain, [1201, 1201], [-37.0, 2674.0], 34_926),
+        ("N49W124.tif", &plain, [1201, 1201], [-26.0, 2630.0], 25_620),
+        // Four tiles of the mosaic are sea and missing: 1200 x 1200 samples that no other has.
+        (
+            "ca_nv_srtm3_hgt",
+            &plain,
+            [13201, 4801],
+            [-85.0, 4404.0],
+            4 * 1200 * 1200,
+        ),
+        (
+            "moon_gld100_lon000-064_lat00-48.tif",
+            &plain,
+            [16384, 12288],
+            [-6572.0, 3585.0],
+            0,
+        ),
     ];
     for (name, options, size, range, holes) in cases {
         let Some(path) = real(name) else { continue };
