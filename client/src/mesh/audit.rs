@@ -1,6 +1,6 @@
 //! The state of the mesh tree laid open, for tests and reports.
 
-use super::tree::{Index, MeshTree};
+use super::surface::{Index, Surface};
 use escarp_proto::geometry::{PAGE_SAMPLES, PageId};
 
 /// State of a vertex in one page.
@@ -28,9 +28,9 @@ pub struct SurfaceTriangle {
     pub drawn: bool,
 }
 
-impl MeshTree {
+impl Surface {
     /// All vertices with any state, sorted.
-    pub fn flags(&self) -> Vec<VertexFlags> {
+    pub(super) fn flags(&self) -> Vec<VertexFlags> {
         let mut flags = Vec::new();
         for node in self.nodes.iter().flatten() {
             for (sample, state) in node.vertices.iter().enumerate() {
@@ -50,7 +50,7 @@ impl MeshTree {
     }
 
     /// Visits every triangle of the mesh, those in holes included: together they cover the grid.
-    pub fn visit_triangles(&self, mut visit: impl FnMut(SurfaceTriangle)) {
+    pub(super) fn visit_triangles(&self, mut visit: impl FnMut(SurfaceTriangle)) {
         for index in 0..self.nodes.len() as Index {
             let Some(node) = &self.nodes[index as usize] else {
                 continue;

@@ -15,17 +15,21 @@
 
 mod audit;
 mod frustum;
+mod mesher;
 mod page_mesh;
 mod place;
+mod quadtree;
+mod sight;
+mod surface;
 mod tree;
 mod triangulate;
-mod update;
 mod vertices;
 mod wants;
 
 pub use audit::{SurfaceTriangle, VertexFlags};
 pub use frustum::Frustum;
+pub use mesher::{MeshOptions, MesherKind, Metric};
 pub use page_mesh::{PageMesh, Vertex};
-pub use tree::{LinkError, MeshTree};
-pub use update::UpdateStats;
+pub use surface::LinkError;
+pub use tree::{MeshTree, UpdateStats};
 pub use wants::Wish;

@@ -1,162 +1,80 @@
-//! The resident pages and how they hang together.
+//! The mesh tree: a surface, and the mesher that works on it.
 
+use super::audit::{SurfaceTriangle, VertexFlags};
+use super::mesher::{MeshOptions, Mesher};
 use super::page_mesh::PageMesh;
-use super::update::Findings;
-use super::vertices::VertexState;
-use super::wants::Wishes;
-use escarp_proto::geometry::{Edge, GridLevels, PAGE_CELLS, PAGE_SAMPLES, PageId, Slot};
+use super::surface::{LinkError, Surface};
+use super::wants::Wish;
+use escarp_proto::geometry::{GridLevels, PageId};
 use escarp_proto::georef::Georef;
-use escarp_proto::page::{Bounds, BoxError, PAGE_AREA, Page, PageError};
-use std::collections::HashMap;
-use thiserror::Error;
+use escarp_proto::page::Page;
+use escarp_proto::view::View;
 
-/// Place of a page in the tree's list.
-pub(super) type Index = u32;
-
-/// Why a page was not linked.
-#[derive(Debug, Clone, PartialEq, Error)]
-pub enum LinkError {
-    /// The page above it is not resident, or says that there is no such page. It came too late.
-    #[error("page {0} hangs below nothing that is resident")]
-    Orphan(PageId),
-    /// It is not what the page above it says.
-    #[error("page {page} contradicts the page above it: {why}")]
-    Contradiction {
-        /// The page.
-        page: PageId,
-        /// What differs.
-        why: &'static str,
-    },
-    /// It does not decode.
-    #[error(transparent)]
-    Page(#[from] PageError),
-}
-
-/// Which vertices of a page's mesh are not up to date.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Stale(u8);
-
-impl Stale {
-    pub(super) const NONE: Stale = Stale(0);
-    pub(super) const ALL: Stale = Stale(0x10);
-
-    pub(super) fn is_all(self) -> bool {
-        self.0 & Stale::ALL.0 != 0
-    }
-
-    /// The normals on an edge: the page across has come, gone or changed.
-    pub(super) fn add_edge(&mut self, edge: Edge) {
-        self.0 |= 1 << edge as u8;
-    }
-
-    pub(super) fn has_edge(self, edge: Edge) -> bool {
-        self.0 & (1 << edge as u8) != 0
-    }
-}
-
-/// A resident page.
-#[derive(Debug)]
-pub(super) struct Node {
-    pub(super) page: Page,
-    pub(super) bounds: Bounds,
-    pub(super) promise: Option<BoxError>,
-    pub(super) parent: Option<(Index, Slot)>,
-    pub(super) neighbours: [Option<Index>; 4],
-    /// Resident children, few.
-    pub(super) children: Vec<(Slot, Index)>,
-    pub(super) vertices: Box<[VertexState; PAGE_AREA]>,
-    /// Enabled vertices.
-    pub(super) enabled: u32,
-    /// Update in which it was last of use.
-    pub(super) last_use: u64,
-    /// World `x` and `y` of its columns and rows of samples, metres.
-    pub(super) columns_m: [f64; PAGE_SAMPLES],
-    pub(super) rows_m: [f64; PAGE_SAMPLES],
-    /// What its last visit came to.
-    pub(super) findings: Findings,
-    pub(super) mesh: PageMesh,
-    /// The mesh's triangles are not up to date.
-    pub(super) stale_triangles: bool,
-    /// The mesh's vertices are not up to date: all, or those on some edges.
-    pub(super) stale_vertices: Stale,
+/// What an update found.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct UpdateStats {
+    /// Largest bound of a triangle that may be seen, over the tolerance. For the meshers that keep
+    /// the tolerance at most 1 if nothing in view is wanted; infinite if there is no bound yet.
+    pub excess: f64,
+    /// Squares whose triangles were tested.
+    pub squares: u64,
+    /// Vertices that were enabled or disabled, pages that were linked or unlinked.
+    pub changes: u64,
+    /// Pages that the mesh would use and that are not resident.
+    pub wanted: usize,
 }
 
 /// The mesh tree.
 #[derive(Debug)]
 pub struct MeshTree {
-    pub(super) grid: GridLevels,
-    pub(super) georef: Georef,
-    pub(super) nodes: Vec<Option<Node>>,
-    free: Vec<Index>,
-    pub(super) by_id: HashMap<PageId, Index>,
-    pub(super) wishes: Wishes,
-    /// Eye of the last update, and the length of its way so far, metres.
-    pub(super) eye_m: Option<[f64; 3]>,
-    pub(super) travel_m: f64,
-    pub(super) updates: u64,
-    pub(super) changes: u64,
-    pub(super) stamps: u64,
+    surface: Surface,
+    options: MeshOptions,
+    mesher: Box<dyn Mesher>,
 }
 
 impl MeshTree {
-    /// A tree without pages.
+    /// A tree without pages, with the default mesher.
     pub fn new(grid: GridLevels, georef: Georef) -> MeshTree {
+        MeshTree::with_options(grid, georef, MeshOptions::default())
+    }
+
+    /// A tree without pages.
+    pub fn with_options(grid: GridLevels, georef: Georef, options: MeshOptions) -> MeshTree {
         MeshTree {
-            grid,
-            georef,
-            nodes: Vec::new(),
-            free: Vec::new(),
-            by_id: HashMap::new(),
-            wishes: Wishes::default(),
-            eye_m: None,
-            travel_m: 0.0,
-            updates: 0,
-            changes: 0,
-            stamps: 0,
+            surface: Surface::new(grid, georef),
+            mesher: options.mesher(),
+            options,
         }
+    }
+
+    /// How it meshes.
+    pub fn options(&self) -> &MeshOptions {
+        &self.options
     }
 
     /// Pages that are resident, those that no record is stored for included.
     pub fn resident(&self) -> usize {
-        self.by_id.len()
+        self.surface.resident()
     }
 
     /// A resident page.
     pub fn page(&self, id: PageId) -> Option<&Page> {
-        Some(&self.node(*self.by_id.get(&id)?).page)
+        self.surface.page(id)
     }
 
     /// All resident pages.
     pub fn pages(&self) -> impl Iterator<Item = &Page> {
-        self.nodes.iter().flatten().map(|node| &node.page)
+        self.surface.pages()
     }
 
     /// The triangles of all pages that have any.
     pub fn meshes(&self) -> impl Iterator<Item = &PageMesh> {
-        let nodes = self.nodes.iter().flatten();
-        nodes
-            .map(|node| &node.mesh)
-            .filter(|mesh| !mesh.indices.is_empty())
+        self.surface.meshes()
     }
 
     /// Memory that the pages take, bytes, near enough for a cap.
     pub fn memory_bytes(&self) -> usize {
-        const NODE: usize =
-            2 * PAGE_AREA * size_of::<i32>() + PAGE_AREA * size_of::<VertexState>() + 9000;
-        self.resident() * NODE
-            + self
-                .meshes()
-                .map(|mesh| mesh.indices.capacity() * 2)
-                .sum::<usize>()
-    }
-
-    pub(super) fn node(&self, index: Index) -> &Node {
-        // An index is handed out for a linked page and forgotten when the page is unlinked.
-        self.nodes[index as usize].as_ref().expect("a linked page")
-    }
-
-    pub(super) fn node_mut(&mut self, index: Index) -> &mut Node {
-        self.nodes[index as usize].as_mut().expect("a linked page")
+        self.surface.memory_bytes()
     }
 
     /// Links a page whose parent is resident, or more parts of one that is linked.
@@ -164,143 +82,9 @@ impl MeshTree {
     /// # Errors
     /// [`LinkError`]; the tree is then as it was.
     pub fn link(&mut self, page: Page) -> Result<(), LinkError> {
-        let id = page.id();
-        if let Some(&index) = self.by_id.get(&id) {
-            self.replace(index, page);
-            return Ok(());
-        }
-        let parent = self.parent_of(&page)?;
-        let promise = parent.map(|(index, slot)| {
-            let (column, row) = slot.position();
-            self.node(index).bounds.box_error(4, column, row)
-        });
-        let index = self.free.pop().unwrap_or(self.nodes.len() as Index);
-        let node = self.new_node(page, parent, promise);
-        match self.nodes.get_mut(index as usize) {
-            Some(place) => *place = Some(node),
-            None => self.nodes.push(Some(node)),
-        }
-        self.by_id.insert(id, index);
-        if let Some((parent, slot)) = parent {
-            self.node_mut(parent).children.push((slot, index));
-        }
-        for edge in Edge::ALL {
-            let neighbour = id
-                .neighbour(edge)
-                .and_then(|id| self.by_id.get(&id).copied());
-            self.node_mut(index).neighbours[edge as usize] = neighbour;
-            if let Some(neighbour) = neighbour {
-                let node = self.node_mut(neighbour);
-                node.neighbours[edge.opposite() as usize] = Some(index);
-            }
-        }
-        self.mark_around(index);
-        self.changes += 1;
+        let index = self.surface.link(page)?;
+        self.mesher.linked(&self.surface, index);
         Ok(())
-    }
-
-    fn new_node(
-        &self,
-        page: Page,
-        parent: Option<(Index, Slot)>,
-        promise: Option<BoxError>,
-    ) -> Node {
-        let id = page.id();
-        let (x, y) = self.grid.page_origin(id);
-        let stride = self.grid.page_stride(id);
-        let bounds = Bounds::derive(&page, promise);
-        let range = bounds.box_error(0, 0, 0).range;
-        let cells = self.grid.square_cells(id.level());
-        Node {
-            mesh: PageMesh {
-                id,
-                origin: [x, y],
-                stride,
-                bounds: self.georef.world_box([x, x + cells], [y, y + cells], range),
-                vertices: Vec::new(),
-                vertex_stamp: 0,
-                indices: Vec::new(),
-                index_stamp: 0,
-            },
-            columns_m: std::array::from_fn(|i| self.georef.world_x(x + i as u32 * stride)),
-            rows_m: std::array::from_fn(|i| self.georef.world_y(y + i as u32 * stride)),
-            page,
-            bounds,
-            promise,
-            parent,
-            neighbours: [None; 4],
-            children: Vec::new(),
-            vertices: Box::new([VertexState::default(); PAGE_AREA]),
-            enabled: 0,
-            last_use: self.updates,
-            findings: Findings::NONE,
-            stale_triangles: true,
-            stale_vertices: Stale::ALL,
-        }
-    }
-
-    /// Finds the parent and checks the page against it.
-    fn parent_of(&self, page: &Page) -> Result<Option<(Index, Slot)>, LinkError> {
-        let id = page.id();
-        let Some((parent, slot)) = id.parent() else {
-            return Ok(None);
-        };
-        let index = *self.by_id.get(&parent).ok_or(LinkError::Orphan(id))?;
-        let parent = &self.node(index).page;
-        if !parent.has_slots() {
-            return Err(LinkError::Orphan(id));
-        }
-        let (column, row) = slot.position();
-        let end = PAGE_CELLS;
-        for (x, y) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
-            let above = (row + y) * PAGE_SAMPLES + column + x;
-            let below = y * end * PAGE_SAMPLES + x * end;
-            let known = parent.is_valid(above) && page.is_valid(below);
-            if known && parent.height(above) != page.height(below) {
-                return Err(LinkError::Contradiction {
-                    page: id,
-                    why: "a corner has another height",
-                });
-            }
-        }
-        Ok(Some((index, slot)))
-    }
-
-    /// More parts of a page: its enabled vertices stay as they are.
-    fn replace(&mut self, index: Index, page: Page) {
-        let promise = self.node(index).promise;
-        let bounds = Bounds::derive(&page, promise);
-        let node = self.node_mut(index);
-        node.page = page;
-        node.bounds = bounds;
-        node.findings = Findings::NONE;
-        node.stale_vertices = Stale::ALL;
-        node.stale_triangles = true;
-        self.mark_around(index);
-        self.changes += 1;
-    }
-
-    /// A page has come, gone or changed: the vertices that the pages around share with it are
-    /// stale. Those across a corner share one, on two of their edges.
-    fn mark_around(&mut self, index: Index) {
-        let neighbours = self.node(index).neighbours;
-        for edge in Edge::ALL {
-            let Some(neighbour) = neighbours[edge as usize] else {
-                continue;
-            };
-            let node = self.node_mut(neighbour);
-            node.stale_vertices.add_edge(edge.opposite());
-            let beyond = node.neighbours;
-            for side in [Edge::South, Edge::North] {
-                if matches!(edge, Edge::East | Edge::West)
-                    && let Some(diagonal) = beyond[side as usize]
-                {
-                    self.node_mut(diagonal)
-                        .stale_vertices
-                        .add_edge(side.opposite());
-                }
-            }
-        }
     }
 
     /// Unlinks pages that nothing on the screen needs, the longest unused first, until the rest
@@ -308,57 +92,79 @@ impl MeshTree {
     pub fn evict(&mut self, most_bytes: usize) -> Vec<PageId> {
         let mut gone = Vec::new();
         while self.memory_bytes() > most_bytes {
-            let mut idle: Vec<(u64, PageId)> = self
-                .nodes
-                .iter()
-                .flatten()
-                .filter(|node| {
-                    node.enabled == 0 && node.children.is_empty() && node.parent.is_some()
-                })
-                .map(|node| (node.last_use, node.page.id()))
-                .collect();
-            idle.sort_unstable();
+            let idle = self.surface.idle();
             // A sixteenth at a time: parents become idle when their children go.
             let some = idle.len().div_ceil(16);
             if some == 0 {
                 break;
             }
-            for (_, id) in idle.into_iter().take(some) {
-                self.unlink(id);
-                gone.push(id);
+            for id in idle.into_iter().take(some) {
+                if let Some(index) = self.surface.unlink(id) {
+                    self.mesher.unlinked(index);
+                    gone.push(id);
+                }
             }
         }
         gone
     }
 
-    fn unlink(&mut self, id: PageId) {
-        let Some(index) = self.by_id.remove(&id) else {
-            return;
-        };
-        self.mark_around(index);
-        let Some(node) = self.nodes[index as usize].take() else {
-            return;
-        };
-        self.free.push(index);
-        if let Some((parent, _)) = node.parent {
-            self.node_mut(parent)
-                .children
-                .retain(|&(_, child)| child != index);
-        }
-        for edge in Edge::ALL {
-            if let Some(neighbour) = node.neighbours[edge as usize] {
-                self.node_mut(neighbour).neighbours[edge.opposite() as usize] = None;
+    /// Enables and disables vertices for a view, which must be checked, and collects what is
+    /// wanted.
+    pub fn update(&mut self, view: &View) -> UpdateStats {
+        let before = self.surface.changes;
+        self.surface.updates += 1;
+        let mut squares = 0;
+        loop {
+            self.surface.wishes.clear();
+            if !self.surface.enable_root() {
+                self.surface.want_root();
+                return self.stats(f64::INFINITY, squares, before);
+            }
+            let found = self.mesher.update(&mut self.surface, view);
+            squares += found.squares;
+            if !self.link_implied() {
+                return self.stats(found.excess, squares, before);
             }
         }
-        self.changes += 1;
     }
 
-    /// The resident child in a slot.
-    pub(super) fn child(&self, index: Index, slot: Slot) -> Option<Index> {
-        let children = &self.node(index).children;
-        children
-            .iter()
-            .find(|(own, _)| *own == slot)
-            .map(|&(_, child)| child)
+    fn stats(&self, excess: f64, squares: u64, before: u64) -> UpdateStats {
+        UpdateStats {
+            excess,
+            squares,
+            changes: self.surface.changes - before,
+            wanted: self.surface.wishes.len(),
+        }
+    }
+
+    /// Links wanted pages that need no record. Whether there were any.
+    fn link_implied(&mut self) -> bool {
+        let mut linked = false;
+        for id in self.surface.wishes.take_implied() {
+            if let Some(page) = self.surface.implied(id) {
+                linked |= self.link(page).is_ok();
+            }
+        }
+        linked
+    }
+
+    /// What the last update wished for, most urgent first.
+    pub fn wishes(&self) -> Vec<Wish> {
+        self.surface.wishes.sorted()
+    }
+
+    /// Triangulates what changed since the last time. Triangles of the whole mesh.
+    pub fn triangulate(&mut self) -> u64 {
+        self.surface.triangulate()
+    }
+
+    /// All vertices with any state, sorted.
+    pub fn flags(&self) -> Vec<VertexFlags> {
+        self.surface.flags()
+    }
+
+    /// Visits every triangle of the mesh, those in holes included: together they cover the grid.
+    pub fn visit_triangles(&self, visit: impl FnMut(SurfaceTriangle)) {
+        self.surface.visit_triangles(visit);
     }
 }

@@ -2,7 +2,7 @@
 
 use super::page_mesh::Vertex;
 use super::place::PageSquare;
-use super::tree::{Index, MeshTree, Node, Stale};
+use super::surface::{Index, Node, Stale, Surface};
 use escarp_proto::geometry::{Edge, PAGE_CELLS, PAGE_SAMPLES};
 use escarp_proto::page::{Kind, PAGE_AREA, level_step};
 
@@ -14,9 +14,9 @@ pub(super) struct Leaf {
     pub(super) kind: Kind,
 }
 
-impl MeshTree {
+impl Surface {
     /// Triangulates what changed since the last time. Triangles of the whole mesh.
-    pub fn triangulate(&mut self) -> u64 {
+    pub(super) fn triangulate(&mut self) -> u64 {
         let mut triangles = 0;
         for index in 0..self.nodes.len() as Index {
             let Some(node) = &self.nodes[index as usize] else {

@@ -1,8 +1,8 @@
 //! Enabling, propagation and reference counts.
 
 use super::place::{PageSquare, Role, across, border, part_of, role};
-use super::tree::{Index, MeshTree};
-use escarp_proto::geometry::Edge;
+use super::surface::{Index, Surface};
+use escarp_proto::geometry::{Edge, PageId};
 
 /// A vertex of a page: `(page, sample)`.
 pub(super) type VertexRef = (Index, u16);
@@ -44,7 +44,7 @@ struct Dependencies {
     missing: Option<(Index, Edge)>,
 }
 
-impl MeshTree {
+impl Surface {
     pub(super) fn state(&self, (index, sample): VertexRef) -> VertexState {
         self.node(index).vertices[sample as usize]
     }
@@ -228,9 +228,13 @@ impl MeshTree {
         }
     }
 
-    /// Enables the root's centre, which depends on nothing.
-    pub(super) fn enable_root(&mut self, root: Index) {
+    /// Enables the root's centre, which depends on nothing. Whether the root is resident.
+    pub(super) fn enable_root(&mut self) -> bool {
+        let Some(&root) = self.by_id.get(&PageId::ROOT) else {
+            return false;
+        };
         let centre = (root, PageSquare::ROOT.centre() as u16);
         self.enable(centre, f64::INFINITY);
+        true
     }
 }

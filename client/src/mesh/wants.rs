@@ -1,9 +1,9 @@
 //! What the mesh would use if it were resident.
 
-use super::place::part_of;
-use super::tree::{Index, MeshTree};
+use super::place::{PageSquare, part_of};
+use super::surface::{Index, Surface};
 use super::vertices::VertexRef;
-use escarp_proto::geometry::{Edge, PageId};
+use escarp_proto::geometry::{Edge, PageId, Slot};
 use escarp_proto::page::SLOT_PART;
 use escarp_proto::wire::{Class, Want};
 use std::collections::HashMap;
@@ -98,10 +98,12 @@ fn parts_for(excess: f64) -> u8 {
     (excess.max(1.0).log2().ceil() as u8).clamp(1, SLOT_PART)
 }
 
-impl MeshTree {
-    /// What the last update wished for, most urgent first.
-    pub fn wishes(&self) -> Vec<Wish> {
-        self.wishes.sorted()
+impl Surface {
+    /// Wants the root page, without which there is nothing.
+    pub(super) fn want_root(&mut self) {
+        self.wishes.in_view = true;
+        self.wishes.blocked = false;
+        self.want_page(PageId::ROOT, f64::INFINITY);
     }
 
     /// Wants the parts that hold a vertex, on the side or sides where they are missing.
@@ -166,5 +168,13 @@ impl MeshTree {
             class: self.wishes.class(),
             excess,
         });
+    }
+
+    /// Wants the page below a cell.
+    pub(super) fn want_below(&mut self, index: Index, child: PageSquare, excess: f64) {
+        let slot = Slot::at(child.column as usize, child.row as usize);
+        if let Some(id) = self.node(index).page.id().child(slot) {
+            self.want_page(id, excess);
+        }
     }
 }
