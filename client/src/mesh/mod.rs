@@ -14,12 +14,15 @@
 //! 4. Pages are linked and unlinked between updates only.
 
 mod audit;
+mod due;
+mod fans;
 mod frustum;
 mod mesher;
 mod page_mesh;
 mod place;
 mod quadtree;
 mod sight;
+mod squares;
 mod surface;
 mod tree;
 mod triangulate;
