@@ -1,6 +1,7 @@
 //! What decides which vertices of a surface are enabled.
 
 use super::quadtree::Quadtree;
+use super::roam::Roam;
 use super::surface::{Index, Surface};
 use escarp_proto::view::View;
 use std::fmt::{self, Debug, Display};
@@ -22,6 +23,25 @@ pub(super) trait Mesher: Debug + Send + Sync {
 
     /// A page has gone; none of its vertices was enabled, and another may take its index.
     fn unlinked(&mut self, page: Index);
+
+    /// Whether it wants to know which vertices are enabled and disabled (`Surface::take_flips`).
+    fn follows_flips(&self) -> bool {
+        false
+    }
+
+    /// Memory that it takes, bytes, near enough for a cap.
+    fn memory_bytes(&self) -> usize {
+        0
+    }
+
+    /// Holds what it keeps from update to update against a recomputation, after an update for
+    /// this view.
+    ///
+    /// # Errors
+    /// What differs.
+    fn check(&self, _: &Surface, _: &View) -> Result<(), String> {
+        Ok(())
+    }
 }
 
 /// What a mesher found.
@@ -40,22 +60,26 @@ pub enum MesherKind {
     /// Ulrich's adaptive quadtree (2000), by bounds that hold.
     #[default]
     Quadtree,
+    /// ROAM (Duchaineau et al., 1997; Turner, 2000), by the same bounds: the same mesh, but decided
+    /// triangle by triangle, and able to keep to a number of triangles.
+    Roam,
 }
 
 impl MesherKind {
     /// All of them.
-    pub const ALL: &[MesherKind] = &[MesherKind::Quadtree];
+    pub const ALL: &[MesherKind] = &[MesherKind::Quadtree, MesherKind::Roam];
 
     /// Its name, as options and reports have it.
     pub const fn name(self) -> &'static str {
         match self {
             MesherKind::Quadtree => "quadtree",
+            MesherKind::Roam => "roam",
         }
     }
 
     /// Whether its converged mesh is within the tolerance.
     pub const fn keeps_tolerance(self) -> bool {
-        matches!(self, MesherKind::Quadtree)
+        matches!(self, MesherKind::Quadtree | MesherKind::Roam)
     }
 }
 
@@ -120,12 +144,16 @@ pub struct MeshOptions {
     pub metric: Metric,
     /// Most triangles, for the meshers that can keep to it.
     pub max_triangles: Option<u32>,
+    /// Vertices after whose change an update leaves the rest to the next one, for the meshers that
+    /// can go on there.
+    pub max_changes: Option<u32>,
 }
 
 impl MeshOptions {
     pub(super) fn mesher(&self) -> Box<dyn Mesher> {
         match self.mesher {
             MesherKind::Quadtree => Box::new(Quadtree::new(self)),
+            MesherKind::Roam => Box::new(Roam::new(self)),
         }
     }
 }

@@ -19,6 +19,7 @@ mod mesher;
 mod page_mesh;
 mod place;
 mod quadtree;
+mod roam;
 mod sight;
 mod surface;
 mod tree;
