@@ -2,6 +2,10 @@
 
 pub mod mesh;
 
+pub mod stages;
+
+mod lost;
+
 pub mod terrain;
 
 pub mod link;

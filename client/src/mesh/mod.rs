@@ -14,6 +14,7 @@
 //! 4. Pages are linked and unlinked between updates only.
 
 mod audit;
+mod contradiction;
 mod frustum;
 mod mesher;
 mod page_mesh;
@@ -27,6 +28,7 @@ mod vertices;
 mod wants;
 
 pub use audit::{SurfaceTriangle, VertexFlags};
+pub use contradiction::Contradiction;
 pub use frustum::Frustum;
 pub use mesher::{MeshOptions, MesherKind, Metric};
 pub use page_mesh::{PageMesh, Vertex};
