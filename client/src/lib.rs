@@ -2,6 +2,8 @@
 
 pub mod mesh;
 
+pub mod governor;
+
 pub mod stages;
 
 mod lost;

@@ -69,11 +69,7 @@ pub struct Refusal {
 
 impl Terrain {
     /// A terrain of which nothing is here yet.
-    pub fn new(
-        manifest: Arc<Manifest>,
-        memory_cap_bytes: usize,
-        options: MeshOptions,
-    ) -> Terrain {
+    pub fn new(manifest: Arc<Manifest>, memory_cap_bytes: usize, options: MeshOptions) -> Terrain {
         let (grid, georef) = (manifest.grid_levels, manifest.georef.clone());
         Terrain {
             tree: MeshTree::with_options(grid, georef, options),
@@ -96,21 +92,24 @@ impl Terrain {
         &self.tree
     }
 
-    /// Meshes in another way from the next update on, with the pages that are here.
-    pub fn set_options(&mut self, options: MeshOptions) {
-        if *self.tree.options() == options {
-            return;
-        }
+    /// Meshes in another way from the next update on, with the pages that are here. Those that
+    /// find no place any more, if any.
+    pub fn set_options(&mut self, options: MeshOptions) -> Vec<PageId> {
         let (grid, georef) = (self.manifest.grid_levels, self.manifest.georef.clone());
         let mut tree = MeshTree::with_options(grid, georef, options);
         let mut pages: Vec<Page> = self.tree.pages().cloned().collect();
         // Parents first: a page is linked below one that is.
         pages.sort_by_key(|page| page.id().key());
+        let mut dropped = Vec::new();
         for page in pages {
-            // They fitted together before.
-            let _ = tree.link(page);
+            let id = page.id();
+            if tree.link(page).is_err() {
+                self.digests.remove(&id);
+                dropped.push(id);
+            }
         }
         self.tree = tree;
+        dropped
     }
 
     /// The triangles, by page.
@@ -191,11 +190,9 @@ impl Terrain {
     /// Takes over what the mesh lacks; how many pages that is.
     fn collect_wants(&mut self, memory_full: bool) -> usize {
         let wishes = self.tree.wishes();
-        self.wants.clear();
-        if !memory_full {
-            let open = wishes.iter().filter(|wish| !self.lost.is_missing(wish.page));
-            self.wants.extend(open.map(|wish| self.to_want(wish)));
-        }
+        let open = |wish: &&Wish| !memory_full && !self.lost.is_missing(wish.page);
+        let wants = wishes.iter().filter(open).map(|wish| self.to_want(wish));
+        self.wants = wants.collect();
         wishes.len()
     }
 
@@ -220,7 +217,7 @@ impl Terrain {
         let page = stages.time(Stage::Decode, || self.decode(id, chunk));
         let linked = page.and_then(|page| stages.time(Stage::Link, || self.tree.link(page)));
         match linked {
-            Ok(()) => self.lost.arrived(id),
+            Ok(()) => {}
             Err(LinkError::Orphan(_)) => step.dropped.push(id),
             Err(why) => {
                 // What else of it is waiting does not fit any more.
