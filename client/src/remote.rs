@@ -3,7 +3,7 @@
 use crate::app::{StepStats, TerrainClient, Waker};
 use crate::governor::{Budgets, Governor, Load};
 use crate::link::{Event, Link, LinkConfig, LinkState};
-use crate::mesh::{MeshOptions, PageMesh};
+use crate::mesh::{MeshOptions, Metric, PageMesh};
 use crate::net::{Connection, Url};
 use crate::stages::Stages;
 use crate::terrain::{DEFAULT_MEMORY_BYTES, Terrain, TerrainStep};
@@ -317,6 +317,8 @@ impl TerrainClient for RemoteTerrain {
         let link = self.link.stats();
         let terrain = self.terrain.as_ref();
         let excess = terrain.map_or(f64::INFINITY, |_| self.last_step.excess);
+        let mesh = &self.options.mesh;
+        let promises = mesh.mesher.keeps_tolerance() && mesh.metric == Metric::Bounding;
         StepStats {
             triangles: self.last_step.triangles,
             bytes_received: link.received_bytes,
@@ -326,7 +328,10 @@ impl TerrainClient for RemoteTerrain {
             chunks_waiting: (self.last_step.waiting + link.waiting_events) as u32,
             bound_px: excess * f64::from(view.max_screen_error_px),
             tolerance_px: view.max_screen_error_px,
-            converged: excess <= 1.0,
+            converged: match promises {
+                true => excess <= 1.0,
+                false => excess.is_finite() && self.last_step.lacking == 0,
+            },
             times: self.last_step.times,
         }
     }

@@ -138,6 +138,12 @@ pub(super) struct MeshArgs {
     /// What counts as a triangle's error: a bound that holds, or the distance of one vertex
     #[arg(long, default_value_t, value_parser = metrics())]
     metric: Metric,
+    /// Ratio of distance to size within which distance and levels split; default: by the tolerance
+    #[arg(long, value_name = "R")]
+    split_ratio: Option<f64>,
+    /// Level of all blocks of levels; default: by distance
+    #[arg(long, value_name = "L")]
+    level: Option<u8>,
     /// Most triangles: where there would be more, the tolerance is widened
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(TRIANGLE_BUDGETS[0] as i64..))]
     max_triangles: Option<u32>,
@@ -158,22 +164,23 @@ fn metrics() -> impl TypedValueParser<Value = Metric> {
 
 impl MeshArgs {
     fn options(&self) -> Result<MeshOptions> {
-        let budget = self.max_triangles.is_some() || self.max_ms.is_some();
-        if budget && !self.mesher.keeps_tolerance() {
-            let able = MesherKind::ALL.iter().filter(|kind| kind.keeps_tolerance());
-            let able: Vec<&str> = able.map(|kind| kind.name()).collect();
-            bail!(
-                "--max-triangles and --max-ms widen the tolerance, and the mesher {} has none; \
-                 those that have one are: {}",
-                self.mesher,
-                able.join(", ")
-            );
-        }
-        Ok(MeshOptions {
+        let options = MeshOptions {
             mesher: self.mesher,
             metric: self.metric,
             max_triangles: self.max_triangles,
-        })
+            split_ratio: self.split_ratio,
+            level: self.level,
+        };
+        options.check()?;
+        let budget = self.max_triangles.is_some() || self.max_ms.is_some();
+        let fixed = self.split_ratio.is_some() || self.level.is_some();
+        if budget && fixed && !self.mesher.keeps_tolerance() {
+            bail!(
+                "--max-triangles and --max-ms widen the tolerance, which is of no effect where \
+                 --split-ratio or --level is given"
+            );
+        }
+        Ok(options)
     }
 }
 
@@ -232,6 +239,35 @@ mod tests {
         assert!("0x480".parse::<Size>().is_err());
         assert!(error_px("0").unwrap_err().contains("allowed"));
         assert_eq!(error_px("1.5"), Ok(1.5));
+    }
+
+    #[test]
+    fn options_of_the_mesh_that_do_not_go_together_are_refused() {
+        #[derive(clap::Parser)]
+        struct Only {
+            #[command(flatten)]
+            mesh: MeshArgs,
+        }
+        let parse = |line: &str| {
+            let words = std::iter::once("mesh").chain(line.split_whitespace());
+            let only = <Only as clap::Parser>::try_parse_from(words);
+            only.map_err(|error| error.to_string())
+                .and_then(|only| only.mesh.options().map_err(|error| error.to_string()))
+        };
+        assert_eq!(parse(""), Ok(MeshOptions::default()));
+        for kind in MesherKind::ALL {
+            let options = parse(&format!("--mesher {kind} --metric local")).unwrap();
+            assert_eq!((options.mesher, options.metric), (*kind, Metric::Local));
+        }
+        let refusal = |line: &str| parse(line).unwrap_err();
+        assert!(refusal("--mesher fans").contains("quadtree"));
+        assert!(refusal("--metric far").contains("bounding"));
+        assert!(refusal("--max-triangles 0").contains("16"));
+        assert!(refusal("--max-ms NaN").contains("allowed"));
+        assert!(refusal("--split-ratio NaN").contains("allowed"));
+        assert!(refusal("--split-ratio inf").contains("allowed"));
+        assert!(refusal("--level 9").contains("allowed"));
+        assert!(refusal("--mesher levels --level 2 --max-triangles 5000").contains("--level"));
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use super::input::HELP;
 use crate::app::StepStats;
-use crate::mesh::{MeshOptions, MesherKind, Metric};
+use crate::mesh::{BLOCK_LEVELS, MeshOptions, MesherKind, Metric};
 use crate::render::DrawStats;
 use egui::{Align2, Color32, ComboBox, Frame, RichText, Slider, Ui, Window};
 
@@ -136,6 +136,18 @@ fn status(ui: &mut Ui, facts: &Facts, settings: &Settings) {
     }
 }
 
+/// The level of all blocks, or by distance.
+fn level(ui: &mut Ui, level: &mut Option<u8>) {
+    let name = |level: Option<u8>| level.map_or("by distance".into(), |n| format!("level {n}"));
+    let shown = ComboBox::from_id_salt("level").selected_text(name(*level));
+    shown.show_ui(ui, |ui| {
+        let levels = (BLOCK_LEVELS[0]..=BLOCK_LEVELS[1]).map(Some);
+        for choice in std::iter::once(None).chain(levels) {
+            ui.selectable_value(level, choice, name(choice));
+        }
+    });
+}
+
 /// The error bound against the tolerance: green within it, amber while loading.
 fn bound(step: &StepStats, settings: &Settings) -> RichText {
     let found = if step.bound_px.is_finite() {
@@ -202,6 +214,9 @@ fn mesh(ui: &mut Ui, mesh: &mut MeshOptions) {
                 ui.selectable_value(&mut mesh.metric, metric, metric.to_string());
             }
         });
+        if mesh.mesher == MesherKind::Levels {
+            level(ui, &mut mesh.level);
+        }
         ui.label("mesher, metric");
     });
 }
