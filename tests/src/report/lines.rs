@@ -10,6 +10,7 @@ use super::measure::tally::Promise;
 use super::measure::triangles;
 use anyhow::{Result, bail};
 use escarp_client::link::{Event, Link, LinkConfig};
+use escarp_client::mesh::MeshOptions;
 use escarp_client::terrain::Terrain;
 use escarp_proto::geometry::PageId;
 use escarp_proto::view::View;
@@ -199,7 +200,8 @@ impl Pair {
         while let Some(event) = self.link.poll_event() {
             match (event, &mut self.terrain) {
                 (Event::Welcome { manifest, .. }, _) => {
-                    self.terrain = Some(Terrain::new(manifest, MEMORY_BYTES));
+                    self.terrain =
+                        Some(Terrain::new(manifest, MEMORY_BYTES, MeshOptions::default()));
                 }
                 (Event::Chunk(chunk), Some(terrain)) => terrain.receive(chunk),
                 (Event::Miss(miss), Some(terrain)) => {
