@@ -18,12 +18,12 @@ impl<'a> Feed<'a> {
         Feed::with_options(dataset, MeshOptions::default())
     }
 
-    /// A tree without pages.
+    /// A tree without pages that meshes so.
     pub fn with_options(dataset: &'a Dataset, options: MeshOptions) -> Self {
         let manifest = dataset.manifest();
-        let georef = manifest.georef.clone();
+        let (grid, georef) = (manifest.grid_levels, manifest.georef.clone());
         Feed {
-            tree: MeshTree::with_options(manifest.grid_levels, georef, options),
+            tree: MeshTree::with_options(grid, georef, options),
             dataset,
         }
     }

@@ -7,8 +7,8 @@ use std::cmp::Ordering;
 /// A triangle whose turn to be split or merged may come in this update.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Candidate {
-    /// Its priority: how many times over the tolerance its error is.
-    pub(super) excess: f64,
+    /// How large its error is on the screen.
+    pub(super) priority: f64,
     /// [`PageId::key`](escarp_proto::geometry::PageId::key) of its page, so that the order does not
     /// depend on when a page came.
     pub(super) key: u64,
@@ -22,8 +22,8 @@ pub(super) struct Candidate {
 impl Ord for Candidate {
     fn cmp(&self, other: &Candidate) -> Ordering {
         let place = |candidate: &Candidate| (candidate.key, candidate.item);
-        let excess = self.excess.total_cmp(&other.excess);
-        excess.then(place(other).cmp(&place(self)))
+        let priority = self.priority.total_cmp(&other.priority);
+        priority.then(place(other).cmp(&place(self)))
     }
 }
 
@@ -56,33 +56,45 @@ const WIDTH: f64 = 1.08;
 const MARGIN: f64 = 1.03;
 
 impl Band {
-    /// The tolerance decides.
-    pub(super) const TOLERANCE: Band = Band { lo: 1.0, hi: 1.0 };
-    /// Anything may be decided.
-    pub(super) const ALL: Band = Band {
-        lo: 1.0,
-        hi: f64::INFINITY,
-    };
-
-    /// The band around a priority, at least 1.
-    pub(super) fn around(excess: f64) -> Band {
-        // Where even an infinite error must be borne, the band is where all finite ones are less.
-        let excess = excess.clamp(1.0, 1e300);
+    /// One priority decides, and stays as it is.
+    pub(super) fn at(priority: f64) -> Band {
         Band {
-            lo: (excess / WIDTH).max(1.0),
-            hi: excess * WIDTH,
+            lo: priority,
+            hi: priority,
         }
     }
 
-    /// Whether this band will do for decisions that fall around a priority.
-    pub(super) fn suits(&self, excess: f64) -> bool {
+    /// Anything above a priority may be decided.
+    pub(super) fn above(least: f64) -> Band {
+        Band {
+            lo: least,
+            hi: f64::INFINITY,
+        }
+    }
+
+    /// The band around a priority, as far as it lies above `least`.
+    pub(super) fn around(priority: f64, least: f64) -> Band {
+        // Where even an infinite error must be borne, the band is where all finite ones are less.
+        let priority = priority.min(1e300);
+        Band {
+            lo: (priority / WIDTH).max(least),
+            hi: priority * WIDTH,
+        }
+    }
+
+    /// Whether this band will do for decisions above `least` that fall around a priority.
+    pub(super) fn suits(&self, priority: f64, least: f64) -> bool {
         let narrow = self.hi <= self.lo * WIDTH * WIDTH * MARGIN;
-        let below = self.lo == 1.0 || self.lo * MARGIN <= excess;
-        narrow && below && excess * MARGIN <= self.hi
+        let below = self.lo <= least || self.lo * MARGIN <= priority;
+        narrow && below && priority * MARGIN <= self.hi
     }
 
     /// Whether all of another band lies inside.
     pub(super) fn holds(&self, other: &Band) -> bool {
         self.lo <= other.lo && other.hi <= self.hi
+    }
+
+    pub(super) fn has(&self, priority: f64) -> bool {
+        self.lo <= priority && priority <= self.hi
     }
 }

@@ -3,7 +3,7 @@
 use super::super::sight::Sight;
 use super::super::surface::{Index, Surface};
 use super::item::{ITEMS, Item};
-use super::{Candidate, Roam, excess};
+use super::{Candidate, Roam};
 use escarp_proto::view::View;
 use std::cmp::Reverse;
 use std::collections::HashMap;
@@ -73,7 +73,7 @@ impl Roam {
         for (candidate, place) in all {
             if self.counts(candidate) {
                 let Candidate { page, item, .. } = *candidate;
-                add(page, item, place(candidate.excess))?;
+                add(page, item, place(candidate.priority))?;
             }
         }
         Ok(places)
@@ -103,7 +103,7 @@ impl Roam {
             };
         }
         let seen = self.seen(surface, sight, page, item);
-        let found = excess(&seen);
+        let found = self.scale.priority(&seen);
         let right = match place {
             None => !asked && seen.reach_m <= 0.0,
             Some(Place::Calendar) if asked => found > self.band.hi * (1.0 - 1e-9),
@@ -114,7 +114,7 @@ impl Roam {
         match right {
             true => Ok(()),
             false => Err(format!(
-                "asked {asked}, {found} tolerances, in {place:?} with {:?}",
+                "asked {asked}, priority {found}, in {place:?} with {:?}",
                 self.band
             )),
         }
@@ -139,7 +139,8 @@ impl Roam {
             }
         }
         let limited = self.limits.triangles.is_some();
-        let right = merge > 1.0 && split <= if limited { merge } else { 1.0 };
+        let least = self.scale.least;
+        let right = merge > least && split <= if limited { least.max(merge) } else { least };
         match right {
             true => Ok(()),
             false => Err(format!(

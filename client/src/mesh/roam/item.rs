@@ -1,10 +1,10 @@
 //! The triangles that a page's tests are about, by number, and what is noted of each.
 
 use super::super::place::PageSquare;
-use super::super::surface::{Index, Node, Surface};
+use super::super::surface::{Index, Surface};
 use super::super::vertices::{Asker, VertexRef};
 use escarp_proto::geometry::{Edge, PAGE_LEVELS, Quadrant};
-use escarp_proto::page::{Kind, square_index};
+use escarp_proto::page::square_index;
 
 /// Squares of a page that have a centre.
 const SQUARES: usize = square_index(PAGE_LEVELS, 0, 0);
@@ -81,21 +81,6 @@ impl Item {
             Side::Quadrant(square, quadrant) => surface
                 .square_below(page, square.child(quadrant))
                 .map(|(page, square)| ((page, square.centre() as u16), Asker::First)),
-        }
-    }
-
-    /// What it holds.
-    pub(super) fn kind(self, node: &Node) -> Kind {
-        match self.side() {
-            Side::Edge(square, edge) => {
-                let (column, row) = (usize::from(square.column), usize::from(square.row));
-                node.bounds.square(square.level, column, row).kinds[edge as usize]
-            }
-            Side::Quadrant(square, quadrant) => {
-                let child = square.child(quadrant);
-                let (column, row) = (usize::from(child.column), usize::from(child.row));
-                node.bounds.box_error(child.level, column, row).kind
-            }
         }
     }
 

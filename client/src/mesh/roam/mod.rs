@@ -30,12 +30,12 @@ mod variance;
 use super::mesher::{Found, MeshOptions, Mesher, Metric};
 use super::place::{PageSquare, Role, across, border, role};
 use super::sight::{Seen, Sight};
+use super::standing::largest_excess;
 use super::surface::{Index, Surface};
 use super::vertices::VertexRef;
 use calendar::{Calendar, Entry};
 use candidate::{Band, Candidate};
 use escarp_proto::geometry::{Edge, PageId};
-use escarp_proto::page::Kind;
 use escarp_proto::view::View;
 use item::{Item, Notes, Side};
 use std::cmp::Reverse;
@@ -62,11 +62,49 @@ pub(super) struct Roam {
     blocked: Vec<Candidate>,
     band: Band,
     triangles: u64,
-    /// Eye and threshold of the last update, and the length of the eye's way so far, metres.
+    scale: Scale,
+    /// Eye of the last update, and the length of its way so far, metres.
     eye_m: Option<[f64; 3]>,
-    threshold: f64,
     way_m: f64,
 }
+
+/// What priorities are measured in. They are compared from update to update, so that they must not
+/// change their meaning whenever the tolerance does.
+#[derive(Debug, Clone, Copy)]
+struct Scale {
+    /// Threshold at which a priority is how many times over the tolerance an error is.
+    reference: f64,
+    threshold: f64,
+    /// The tolerance as a priority.
+    least: f64,
+    /// Updates since the threshold last changed.
+    steady: u32,
+}
+
+impl Scale {
+    const NONE: Scale = Scale {
+        reference: 0.0,
+        threshold: 0.0,
+        least: 1.0,
+        steady: STEADY,
+    };
+
+    fn at(threshold: f64, steady: u32) -> Scale {
+        Scale {
+            reference: threshold,
+            threshold,
+            least: 1.0,
+            steady,
+        }
+    }
+
+    fn priority(&self, seen: &Seen) -> f64 {
+        excess(seen) * self.least
+    }
+}
+
+/// After so many updates with one threshold it is not expected to change.
+const STEADY: u32 = 30;
 
 #[derive(Debug, Clone, Copy)]
 struct Limits {
@@ -109,8 +147,9 @@ impl Mesher for Roam {
 
     fn linked(&mut self, surface: &Surface, page: Index) {
         if let Some(variances) = &mut self.variances {
-            let of_page = Variances::of(surface.node(page));
-            *place_of(variances, page) = Some(of_page);
+            // An outline's error is its square's size, whatever the heights are.
+            let without_holes = Some(&surface.node(page).page).filter(|page| !page.has_holes());
+            *place_of(variances, page) = without_holes.map(Variances::of);
         }
         self.changed.push(page);
     }
@@ -157,10 +196,10 @@ impl Roam {
             splits: BinaryHeap::new(),
             merges: BinaryHeap::new(),
             blocked: Vec::new(),
-            band: Band::TOLERANCE,
+            band: Band::at(1.0),
             triangles: 0,
+            scale: Scale::NONE,
             eye_m: None,
-            threshold: 0.0,
             way_m: 0.0,
         }
     }
@@ -264,12 +303,11 @@ impl Roam {
         let variances = self.variances.as_ref();
         let of_page = variances.and_then(|variances| variances.get(page as usize)?.as_ref());
         match of_page {
-            // An outline's error is its square's size, whatever the heights are.
-            Some(variances) if item.kind(node) == Kind::Full => Seen {
+            Some(variances) => Seen {
                 reach_m: variances.get(item) * surface.georef.quantum_m * sight.tests.threshold,
                 ..seen
             },
-            _ => seen,
+            None => seen,
         }
     }
 
@@ -278,28 +316,28 @@ impl Roam {
     fn test(&mut self, pass: &mut Pass<'_>, page: Index, item: Item) {
         pass.tests += 1;
         let seen = self.seen(pass.surface, &pass.sight, page, item);
-        let excess = excess(&seen);
-        let band = self.band;
+        let priority = self.scale.priority(&seen);
+        let (band, scale) = (self.band, self.scale);
         let Some(notes) = self.notes_mut(page) else {
             return;
         };
         let (asked, stamp) = (notes.is_asked(item), notes.renew(item));
         let edge = if asked { band.hi } else { band.lo };
         let settled = match asked {
-            true => excess > edge,
-            false => excess <= edge,
+            true => priority > edge,
+            false => priority <= edge,
         };
         if settled {
             notes.set_blocked(item, false);
             if seen.reach_m > 0.0 {
-                let way_m = self.way_m + slack_m(&seen, edge);
+                let way_m = self.way_m + slack_m(&seen, edge / scale.least);
                 self.calendar.push(Entry::new(way_m, page, item, stamp));
             }
             return;
         }
         let blocked = notes.is_blocked(item);
         let candidate = Candidate {
-            excess,
+            priority,
             key: pass.surface.node(page).page.id().key(),
             page,
             item,
@@ -316,8 +354,7 @@ impl Roam {
     fn look_again(&mut self, pass: &mut Pass<'_>) {
         self.go_to(pass.sight.tests.eye_m);
         self.unblock();
-        if self.threshold != pass.sight.tests.threshold {
-            self.threshold = pass.sight.tests.threshold;
+        if !self.rescale(pass.sight.tests.threshold) {
             self.changed.clear();
             return self.test_all(pass);
         }
@@ -337,6 +374,33 @@ impl Roam {
             }
         }
         self.test_queues(pass);
+    }
+
+    /// Takes over the tolerance. Whether what waits in the calendar may wait on.
+    fn rescale(&mut self, threshold: f64) -> bool {
+        let scale = &mut self.scale;
+        if scale.threshold == threshold {
+            scale.steady = scale.steady.saturating_add(1);
+            return true;
+        }
+        scale.least = scale.reference / threshold;
+        let first = scale.threshold == 0.0;
+        scale.threshold = threshold;
+        scale.steady = 0;
+        if !first && self.band.has(scale.least) {
+            return true;
+        }
+        self.scale = Scale::at(threshold, if first { STEADY } else { 0 });
+        self.band = self.tolerance_band();
+        false
+    }
+
+    /// The band if nothing but the tolerance decides.
+    fn tolerance_band(&self) -> Band {
+        match self.scale.steady < STEADY {
+            true => Band::around(self.scale.least, 0.0),
+            false => Band::at(self.scale.least),
+        }
     }
 
     /// Adds to the eye's way, in the measure of
@@ -404,7 +468,7 @@ impl Roam {
             if self.is_over_limit() {
                 match self.lowest_merge() {
                     Some(merge) => self.give_way(pass, merge),
-                    None if self.band != Band::ALL => self.widen(pass),
+                    None if self.band.hi < f64::INFINITY => self.widen(pass),
                     None => return,
                 }
                 continue;
@@ -412,19 +476,21 @@ impl Roam {
             if pass.left == 0 {
                 return;
             }
-            if let Some(split) = self.highest_split() {
+            let least = self.scale.least;
+            let split = self.highest_split().filter(|split| split.priority > least);
+            if let Some(split) = split {
                 if pass.floor.is_none_or(|floor| split > floor) {
                     self.splits.pop();
                     self.split(pass, split);
                     continue;
                 }
-            } else if pass.floor.is_none() && self.band.lo > 1.0 {
+            } else if pass.floor.is_none() && self.band.lo > least {
                 // All in the band is split, and there is room for more.
                 self.widen(pass);
                 continue;
             }
             match self.lowest_merge() {
-                Some(merge) if merge.excess <= 1.0 => self.merge(pass, merge),
+                Some(merge) if merge.priority <= least => self.merge(pass, merge),
                 _ => return,
             }
         }
@@ -459,18 +525,19 @@ impl Roam {
     /// Splits a triangle, and with it what that takes; or wants what is missing.
     fn split(&mut self, pass: &mut Pass<'_>, split: Candidate) {
         let Candidate { page, item, .. } = split;
+        let excess = split.priority / self.scale.least;
         let seen = self.seen(pass.surface, &pass.sight, page, item);
         let Pass { surface, sight, .. } = pass;
         surface.wishes.in_view = sight.frustum.may_see(&seen.region);
         surface.wishes.blocked = false;
         let done = match item.vertex(surface, page) {
             Some((vertex, asker)) => {
-                surface.ask(vertex, asker, true, split.excess);
+                surface.ask(vertex, asker, true, excess);
                 surface.is_enabled(vertex)
             }
             None => {
                 if let Side::Quadrant(square, quadrant) = item.side() {
-                    surface.want_below(page, square.child(quadrant), split.excess);
+                    surface.want_below(page, square.child(quadrant), excess);
                 }
                 false
             }
@@ -516,21 +583,29 @@ impl Roam {
 
     /// What is to be decided lies beyond the band.
     fn widen(&mut self, pass: &mut Pass<'_>) {
-        self.band = Band::ALL;
+        self.band = Band::above(self.scale.least);
         self.test_all(pass);
     }
 
     /// Puts the band around the priority at which the last decision fell.
     fn set_band(&mut self, pass: &mut Pass<'_>) {
-        let around = match self.limits.triangles {
-            // Far from the limit, the tolerance alone decides.
-            Some(most) if self.triangles >= most - most / 5 => pass.floor.map_or(1.0, |f| f.excess),
-            _ => {
-                return self.change_band(pass, Band::TOLERANCE);
-            }
+        let least = self.scale.least;
+        let at_limit = self
+            .limits
+            .triangles
+            .is_some_and(|most| self.triangles >= most - most / 5);
+        if !at_limit && self.scale.steady >= STEADY {
+            return self.change_band(pass, self.tolerance_band());
+        }
+        let around = pass.floor.map_or(least, |floor| floor.priority.max(least));
+        // Far from the limit, or while the tolerance changes, it may come down.
+        let lowest = if self.scale.steady < STEADY {
+            0.0
+        } else {
+            least
         };
-        if !self.band.suits(around) {
-            self.change_band(pass, Band::around(around));
+        if !self.band.suits(around, lowest) {
+            self.change_band(pass, Band::around(around, lowest));
         }
     }
 
@@ -558,19 +633,23 @@ impl Roam {
         }
     }
 
-    /// Largest priority of a triangle that stands and may be seen.
+    /// Largest bound of a triangle that stands and may be seen, over the tolerance.
     fn excess(&self, pass: &Pass<'_>) -> f64 {
+        if self.variances.is_some() {
+            // Variances bound nothing.
+            return largest_excess(pass.surface, &pass.sight);
+        }
         // Those in the calendar that stand are below the band.
-        let mut largest = match self.calendar.len() {
+        let mut largest = match self.calendar.len() + self.splits.len() {
             0 => 0.0,
-            _ => self.band.lo,
+            _ => self.band.lo.max(self.scale.least),
         };
         for split in self.splits.iter().chain(&self.blocked) {
-            if split.excess > largest && self.counts(split) && self.stands(pass, split) {
-                largest = split.excess;
+            if split.priority > largest && self.counts(split) && self.stands(pass, split) {
+                largest = split.priority;
             }
         }
-        largest
+        largest / self.scale.least
     }
 
     fn stands(&self, pass: &Pass<'_>, split: &Candidate) -> bool {

@@ -7,10 +7,10 @@
 //! place. It is no bound of what a mesh is off the surface by: deviations of one level are not
 //! added to those of the next.
 
-use super::super::surface::Node;
+use super::super::place::PageSquare;
 use super::item::{ITEMS, Item, Side};
-use escarp_proto::geometry::PAGE_SAMPLES;
-use escarp_proto::page::{Page, level_step};
+use escarp_proto::geometry::{Edge, PAGE_SAMPLES, Slot};
+use escarp_proto::page::{ChildSlot, Page, level_step};
 
 /// Variances of a page's items, in half quanta.
 #[derive(Debug)]
@@ -20,32 +20,9 @@ pub(super) struct Variances(Box<[u32]>);
 type Triangle = [(usize, usize); 3];
 
 impl Variances {
-    pub(super) fn of(node: &Node) -> Variances {
-        let known = usize::from(node.page.depth());
-        let item = |i| match Item::from_index(i).side() {
-            Side::Edge(square, _) if usize::from(square.level) >= known => 0,
-            Side::Edge(square, edge) => {
-                let [from, to] = square.ends(edge);
-                variance(&node.page, [square.centre(), from, to].map(place))
-            }
-            Side::Quadrant(square, _) if usize::from(square.level) >= known => 0,
-            Side::Quadrant(square, quadrant) => {
-                let child = square.child(quadrant);
-                let (column, row) = (usize::from(child.column), usize::from(child.row));
-                if usize::from(child.level) == known {
-                    let below = node.bounds.box_error(child.level, column, row);
-                    return below.error.saturating_mul(2);
-                }
-                let [se, ne] = child.ends(escarp_proto::geometry::Edge::East).map(place);
-                let [nw, sw] = child.ends(escarp_proto::geometry::Edge::West).map(place);
-                let halves = match quadrant.rises() {
-                    true => [[se, sw, ne], [nw, ne, sw]],
-                    false => [[sw, nw, se], [ne, se, nw]],
-                };
-                let [a, b] = halves.map(|half| variance(&node.page, half));
-                a.max(b)
-            }
-        };
+    /// Of a page without holes, as far as it has arrived.
+    pub(super) fn of(page: &Page) -> Variances {
+        let item = |i| of_side(page, Item::from_index(i).side());
         Variances((0..ITEMS).map(item).collect())
     }
 
@@ -56,6 +33,42 @@ impl Variances {
 
     pub(super) fn memory_bytes(&self) -> usize {
         size_of_val(&*self.0)
+    }
+}
+
+fn of_side(page: &Page, side: Side) -> u32 {
+    let (Side::Edge(square, _) | Side::Quadrant(square, _)) = side;
+    if square.level >= page.depth() {
+        return 0;
+    }
+    match side {
+        Side::Edge(square, edge) => {
+            let [from, to] = square.ends(edge);
+            variance(page, [square.centre(), from, to].map(place))
+        }
+        Side::Quadrant(square, quadrant) => {
+            let child = square.child(quadrant);
+            if child.level == page.depth() {
+                return below(page, child);
+            }
+            let [se, ne] = child.ends(Edge::East).map(place);
+            let [nw, sw] = child.ends(Edge::West).map(place);
+            let halves = match quadrant.rises() {
+                true => [[se, sw, ne], [nw, ne, sw]],
+                false => [[sw, nw, se], [ne, se, nw]],
+            };
+            let [a, b] = halves.map(|half| variance(page, half));
+            a.max(b)
+        }
+    }
+}
+
+/// Twice what is known of the surface below one of the finest cells that have arrived.
+fn below(page: &Page, cell: PageSquare) -> u32 {
+    let slot = Slot::at(usize::from(cell.column), usize::from(cell.row));
+    match page.slot(slot) {
+        ChildSlot::Full(error) | ChildSlot::Cut(error) => error.bound().saturating_mul(2),
+        ChildSlot::Empty | ChildSlot::Mixed(_) => 0,
     }
 }
 
