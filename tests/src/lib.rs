@@ -18,3 +18,5 @@ pub mod drive;
 pub mod liar;
 
 pub mod programs;
+
+pub mod peers;
