@@ -8,10 +8,9 @@ use crate::terrain::TempDataset;
 use escarp_proto::err8::Err8;
 use escarp_proto::geometry::{Edge, PAGE_LEVELS, PageId, Quadrant, Slot};
 use escarp_proto::page::{Bounds, BoxError, Page, RecordHeader, last_part};
-use escarp_proto::view::View;
+use escarp_proto::view::{FARTHEST_EYE_M, View};
 use escarp_tiles::dataset::PageReader;
 use escarp_tiles::process::thread_cpu;
-use std::collections::HashMap;
 use std::time::Duration;
 
 /// What a tolerance is seen as, pixels: so little that the eye is so far that its distance is the
@@ -99,33 +98,59 @@ fn from_far_above(data: &TempDataset, tolerance: f64) -> View {
         viewport_px: [32768; 2],
         max_screen_error_px: TOLERANCE_PX,
     };
-    view.eye_m[2] = view.px_per_slope() * tolerance / f64::from(TOLERANCE_PX);
+    let height_m = view.px_per_slope() * tolerance / f64::from(TOLERANCE_PX);
+    view.eye_m[2] = height_m.min(FARTHEST_EYE_M);
+    view.max_screen_error_px = (view.px_per_slope() * tolerance / view.eye_m[2]) as f32;
     view.check().expect("a tolerance that can be seen");
     view
 }
 
-/// Bounds of the triangles of a window's dataset, by triangle: the end of the hypotenuse from which
-/// the other follows counter-clockwise around the apex, that end, and the apex.
-pub type TriangleBounds = HashMap<Triangle, u32>;
+/// Bounds of the triangles of a window's hierarchy, quanta.
+#[derive(Debug, Clone)]
+pub struct TriangleBounds {
+    cells: u32,
+    /// Of the triangles that a vertex splits, by vertex.
+    bounds: Vec<[u32; 2]>,
+}
+
+impl TriangleBounds {
+    /// Vertex that splits a triangle, and which of the two that it splits this is.
+    fn place(&self, [from, to, _]: &Triangle) -> (usize, usize) {
+        let (x, y) = (u32::midpoint(from.0, to.0), u32::midpoint(from.1, to.1));
+        let vertex = y as usize * (self.cells as usize + 1) + x as usize;
+        (vertex, usize::from(from > to))
+    }
+
+    /// Bound of a triangle, its hypotenuse first.
+    pub fn of(&self, triangle: &Triangle) -> u32 {
+        let (vertex, side) = self.place(triangle);
+        self.bounds[vertex][side]
+    }
+
+    fn insert(&mut self, triangle: &Triangle, bound: u32) {
+        let (vertex, side) = self.place(triangle);
+        self.bounds[vertex][side] = bound;
+    }
+}
 
 /// The bounds of all triangles of a window, as client and server derive them.
 ///
 /// # Panics
 /// If pages cannot be read.
 pub fn bounds(data: &TempDataset, cells: u32) -> TriangleBounds {
-    let mut found = TriangleBounds::new();
+    let side = cells as usize + 1;
+    let mut found = TriangleBounds {
+        cells,
+        bounds: vec![[0; 2]; side * side],
+    };
     let mut reader = PageReader::new(&data.dataset);
     let mut open: Vec<(PageId, Option<BoxError>)> = vec![(PageId::ROOT, None)];
     let grid = data.dataset.grid();
     while let Some((id, promise)) = open.pop() {
         let page = reader.page(id).expect("a sound page");
         let derived = Bounds::derive(&page, promise);
-        collect(
-            &mut found,
-            (id, &derived),
-            (grid.page_origin(id), grid.page_stride(id)),
-            cells,
-        );
+        let place = (grid.page_origin(id), grid.page_stride(id));
+        collect(&mut found, (id, &derived), place);
         for slot in (0..=u8::MAX).map(Slot::from_index) {
             let (column, row) = slot.position();
             let Some(child) = id.child(slot).filter(|&child| grid.holds(child)) else {
@@ -144,8 +169,8 @@ fn collect(
     found: &mut TriangleBounds,
     (id, bounds): (PageId, &Bounds),
     ((x, y), stride): ((u32, u32), u32),
-    cells: u32,
 ) {
+    let cells = found.cells;
     for level in 0..PAGE_LEVELS {
         let half = stride << (PAGE_LEVELS - 1 - level);
         for (column, row) in squares(level) {
@@ -165,7 +190,7 @@ fn collect(
                 (Edge::West, [nw, sw]),
                 (Edge::South, [sw, se]),
             ] {
-                found.insert([from, to, centre], errors.edges[edge as usize]);
+                found.insert(&[from, to, centre], errors.edges[edge as usize]);
             }
             let root = id.square();
             let rises = match level {
@@ -179,7 +204,9 @@ fn collect(
             };
             // A square is tested as a whole.
             let whole = bounds.box_error(level, column, row).error;
-            found.extend(halves.map(|half| (half, whole)));
+            for half in &halves {
+                found.insert(half, whole);
+            }
         }
     }
 }
@@ -188,33 +215,33 @@ fn squares(level: u8) -> impl Iterator<Item = (usize, usize)> {
     (0..1 << level).flat_map(move |row| (0..1 << level).map(move |column| (column, row)))
 }
 
-/// Errors of vertices by these bounds: with them, [`VertexErrors::mesh`] is our mesh.
-///
-/// # Panics
-/// If a triangle has no bound.
-pub fn errors(cells: u32, bounds: &TriangleBounds) -> VertexErrors {
+/// Errors of vertices by these bounds: with them, [`VertexErrors::mesh`] is our mesh of whole
+/// pages.
+pub fn errors(bounds: &TriangleBounds) -> VertexErrors {
+    errors_of(bounds.cells, |side| bounds.of(side))
+}
+
+/// Errors as they would be if pages above the finest had, for each triangle, a code of its exact
+/// largest deviation, as slots have of the page below.
+pub fn coded_errors(window: &Window, bounds: &TriangleBounds) -> VertexErrors {
+    errors_of(bounds.cells, |side| coded(window, side, bounds.of(side)))
+}
+
+fn errors_of(cells: u32, bound: impl Fn(&Triangle) -> u32) -> VertexErrors {
     VertexErrors::of(cells, |_, sides| {
-        let bounds = sides.iter().flatten().map(|side| bounds[side]);
+        let bounds = sides.iter().flatten().map(&bound);
         f64::from(bounds.max().unwrap_or(0))
     })
 }
 
-/// Bounds as they would be if pages above the finest had, for each triangle, a code of its exact
-/// largest deviation, as slots have of the page below.
-pub fn with_codes(window: &Window, bounds: &TriangleBounds) -> TriangleBounds {
-    let finest = (1 << PAGE_LEVELS) * 2;
-    let tighter = |(triangle, &derived): (&Triangle, &u32)| {
-        let [from, to, _] = triangle;
-        let span = from.0.abs_diff(to.0) + from.1.abs_diff(to.1);
-        // Within the finest pages derived bounds are exact already.
-        let bound = match span > finest {
-            false => derived,
-            true => {
-                let exact = largest_in(window, triangle).ceil() as u32;
-                derived.min(Err8::covering(exact).map_or(derived, Err8::bound))
-            }
-        };
-        (*triangle, bound)
-    };
-    bounds.iter().map(tighter).collect()
+/// The lesser of a triangle's derived bound and the code of its exact largest deviation; within
+/// the finest pages the derived one, which is exact.
+pub fn coded(window: &Window, triangle: &Triangle, derived: u32) -> u32 {
+    let [from, to, _] = triangle;
+    let span = from.0.abs_diff(to.0) + from.1.abs_diff(to.1);
+    if span <= 2 << PAGE_LEVELS {
+        return derived;
+    }
+    let exact = largest_in(window, triangle).ceil() as u32;
+    derived.min(Err8::covering(exact).map_or(derived, Err8::bound))
 }

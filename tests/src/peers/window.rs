@@ -33,36 +33,40 @@ impl Window {
         }
     }
 
-    /// The largest window of at most so many cells without a hole, nearest to the middle of a
-    /// dataset, by steps of 16 rows; with the column and row of its south-west corner.
+    /// The middle of a dataset, of the largest power of two of cells a side up to a limit, with the
+    /// share of its samples that are holes: there it has the height of the nearest sample to the
+    /// west, or else of that to the south. `None` where the dataset is too small.
     ///
     /// # Errors
     /// Those of reading pages.
     pub fn middle_of(
         dataset: &Dataset,
         most_cells: u32,
-    ) -> Result<Option<(Window, [u32; 2])>, DatasetError> {
+    ) -> Result<Option<(Window, f64)>, DatasetError> {
         let [width, height] = dataset.manifest().samples;
-        let mut cells = most_cells;
-        while cells >= 16 {
-            if let (Some(last_x), Some(last_y)) =
-                (width.checked_sub(cells + 1), height.checked_sub(cells + 1))
-            {
-                let middle = last_y / 2;
-                let mut rows: Vec<u32> = (0..=last_y).step_by(16).collect();
-                rows.sort_by_key(|row| row.abs_diff(middle));
-                for row in rows {
-                    let band = read_rows(dataset, row, cells + 1)?;
-                    if let Some(column) = clear_column(&band, width, cells, last_x / 2) {
-                        let at = |x, y| (y * width + column + x) as usize;
-                        let window = Window::of(cells, |x, y| band[at(x, y)].unwrap_or(0));
-                        return Ok(Some((window, [column, row])));
-                    }
-                }
+        let Some(cells) = width.min(height).min(most_cells + 1).checked_sub(1) else {
+            return Ok(None);
+        };
+        let Some(cells) = cells.checked_ilog2().map(|log| 1 << log) else {
+            return Ok(None);
+        };
+        // Rows of pages have 16 of samples.
+        let (column, row) = ((width - 1 - cells) / 2, (height - 1 - cells) / 2 / 16 * 16);
+        let band = read_rows(dataset, row, cells + 1)?;
+        let mut heights = Vec::new();
+        let mut holes = 0;
+        for y in 0..=cells {
+            for x in 0..=cells {
+                let sample = band[(y * width + column + x) as usize];
+                holes += usize::from(sample.is_none());
+                let side = cells as usize + 1;
+                let beside = if x > 0 { 1 } else { side };
+                let near = heights.len().checked_sub(beside).map_or(0, |i| heights[i]);
+                heights.push(sample.unwrap_or(near));
             }
-            cells /= 2;
         }
-        Ok(None)
+        let share = holes as f64 / heights.len() as f64;
+        Ok(Some((Window { cells, heights }, share)))
     }
 
     /// Height at a column and row, quanta.
@@ -122,22 +126,6 @@ impl Window {
             }
         }
     }
-}
-
-/// The column nearest to `middle` from which on a band has no hole.
-fn clear_column(band: &[Option<i32>], width: u32, cells: u32, middle: u32) -> Option<u32> {
-    let width = width as usize;
-    let holes = |x: usize| band.iter().skip(x).step_by(width).any(Option::is_none);
-    // How many columns up to each one have a hole.
-    let mut holed = vec![0u32];
-    for x in 0..width {
-        holed.push(holed[x] + u32::from(holes(x)));
-    }
-    let side = cells as usize + 1;
-    let clear = |&x: &usize| holed[x + side] == holed[x];
-    let columns = (0..=width - side).filter(clear);
-    let nearest = columns.min_by_key(|&x| (x as u32).abs_diff(middle))?;
-    Some(nearest as u32)
 }
 
 /// So many rows of samples from a row on that is a multiple of 16.
