@@ -1,10 +1,20 @@
 //! What decides which vertices of a surface are enabled.
 
+use super::distance::Distance;
+use super::levels::Levels;
 use super::quadtree::Quadtree;
+use super::roam::Roam;
 use super::surface::{Index, Surface};
 use escarp_proto::view::View;
 use std::fmt::{self, Debug, Display};
 use std::str::FromStr;
+use thiserror::Error;
+
+/// Allowed ratios of distance to size. At the largest, squares of one level reach 128 of their
+/// sides from the eye: at most `(2 * 128 + 2)^2` are split, whatever the tolerance.
+pub const SPLIT_RATIOS: [f64; 2] = [1.0, 128.0];
+/// Allowed levels of blocks: all samples, every second, fourth, eighth each way.
+pub const BLOCK_LEVELS: [u8; 2] = [1, 4];
 
 /// Decides which vertices are enabled.
 ///
@@ -25,6 +35,25 @@ pub(super) trait Mesher: Debug + Send + Sync {
 
     /// A page has gone; none of its vertices was enabled, and another may take its index.
     fn unlinked(&mut self, page: Index);
+
+    /// Whether it wants to know which vertices are enabled and disabled (`Surface::take_flips`).
+    fn follows_flips(&self) -> bool {
+        false
+    }
+
+    /// Memory that it takes, bytes, near enough for a cap.
+    fn memory_bytes(&self) -> usize {
+        0
+    }
+
+    /// Holds what it keeps from update to update against a recomputation, after an update for
+    /// this view.
+    ///
+    /// # Errors
+    /// What differs.
+    fn check(&self, _: &Surface, _: &View) -> Result<(), String> {
+        Ok(())
+    }
 }
 
 /// What a mesher found.
@@ -43,22 +72,42 @@ pub enum MesherKind {
     /// Ulrich's adaptive quadtree (2000), by bounds that hold.
     #[default]
     Quadtree,
+    /// ROAM (Duchaineau et al., 1997; Turner, 2000), by the same bounds: the same mesh, but decided
+    /// triangle by triangle, and able to keep to a number of triangles.
+    Roam,
+    /// Squares split by the ratio of distance to size alone.
+    Distance,
+    /// Blocks of fixed levels, chosen or by distance.
+    Levels,
 }
 
 impl MesherKind {
     /// All of them.
-    pub const ALL: &[MesherKind] = &[MesherKind::Quadtree];
+    pub const ALL: &[MesherKind] = &[
+        MesherKind::Quadtree,
+        MesherKind::Roam,
+        MesherKind::Distance,
+        MesherKind::Levels,
+    ];
 
     /// Its name, as options and reports have it.
     pub const fn name(self) -> &'static str {
         match self {
             MesherKind::Quadtree => "quadtree",
+            MesherKind::Roam => "roam",
+            MesherKind::Distance => "distance",
+            MesherKind::Levels => "levels",
         }
     }
 
     /// Whether its converged mesh is within the tolerance.
     pub const fn keeps_tolerance(self) -> bool {
-        matches!(self, MesherKind::Quadtree)
+        matches!(self, MesherKind::Quadtree | MesherKind::Roam)
+    }
+
+    /// Whether it keeps to [`MeshOptions::max_triangles`] by itself.
+    pub const fn keeps_triangles(self) -> bool {
+        matches!(self, MesherKind::Roam)
     }
 }
 
@@ -123,12 +172,62 @@ pub struct MeshOptions {
     pub metric: Metric,
     /// Most triangles, for the meshers that can keep to it.
     pub max_triangles: Option<u32>,
+    /// Vertices after whose change an update leaves the rest to the next one, for the meshers that
+    /// can go on there.
+    pub max_changes: Option<u32>,
+    /// Ratio of distance to size within which `distance` and `levels` split, in [`SPLIT_RATIOS`];
+    /// `None`: it follows the tolerance.
+    pub split_ratio: Option<f64>,
+    /// Level of all blocks of `levels`, in [`BLOCK_LEVELS`]; `None`: by distance.
+    pub level: Option<u8>,
+}
+
+/// An option that no mesher can keep to.
+#[derive(Debug, Clone, PartialEq, Error)]
+#[error("{option} is {found}, allowed is {allowed}")]
+pub struct MeshOptionsError {
+    /// The option.
+    pub option: &'static str,
+    /// Its value.
+    pub found: String,
+    /// What may stand there.
+    pub allowed: String,
 }
 
 impl MeshOptions {
+    /// # Errors
+    /// The first option that is out of its range.
+    pub fn check(&self) -> Result<(), MeshOptionsError> {
+        let error = |option, found: String, allowed: String| {
+            Err(MeshOptionsError {
+                option,
+                found,
+                allowed,
+            })
+        };
+        let [least, most] = SPLIT_RATIOS;
+        let allowed = |ratio: &f64| (least..=most).contains(ratio);
+        if let Some(ratio) = self.split_ratio.filter(|ratio| !allowed(ratio)) {
+            return error(
+                "split_ratio",
+                ratio.to_string(),
+                format!("{least}..={most}"),
+            );
+        }
+        let [least, most] = BLOCK_LEVELS;
+        let allowed = |level: &u8| (least..=most).contains(level);
+        if let Some(level) = self.level.filter(|level| !allowed(level)) {
+            return error("level", level.to_string(), format!("{least}..={most}"));
+        }
+        Ok(())
+    }
+
     pub(super) fn mesher(&self) -> Box<dyn Mesher> {
         match self.mesher {
             MesherKind::Quadtree => Box::new(Quadtree::new(self)),
+            MesherKind::Roam => Box::new(Roam::new(self)),
+            MesherKind::Distance => Box::new(Distance::new(self)),
+            MesherKind::Levels => Box::new(Levels::new(self)),
         }
     }
 }

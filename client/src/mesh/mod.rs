@@ -14,15 +14,21 @@
 //! 4. Pages are linked and unlinked between updates only.
 
 mod audit;
+mod contradiction;
+mod distance;
 mod due;
 mod fans;
 mod frustum;
+mod levels;
 mod mesher;
 mod page_mesh;
 mod place;
 mod quadtree;
+mod roam;
 mod sight;
+mod size;
 mod squares;
+mod standing;
 mod surface;
 mod tree;
 mod triangulate;
@@ -30,8 +36,9 @@ mod vertices;
 mod wants;
 
 pub use audit::{SurfaceTriangle, VertexFlags};
+pub use contradiction::Contradiction;
 pub use frustum::Frustum;
-pub use mesher::{MeshOptions, MesherKind, Metric};
+pub use mesher::{BLOCK_LEVELS, MeshOptions, MeshOptionsError, MesherKind, Metric, SPLIT_RATIOS};
 pub use page_mesh::{PageMesh, Vertex};
 pub use surface::LinkError;
 pub use tree::{MeshTree, UpdateStats};

@@ -6,6 +6,7 @@ use super::squares::{self, At, ErrorCode, PLACES};
 use super::surface::{Node, Surface};
 use escarp_proto::geometry::{Edge, PAGE_SAMPLES, Quadrant};
 use escarp_proto::georef::WorldBox;
+use escarp_proto::page::Kind;
 use escarp_proto::view::{Tests, View};
 
 /// A view of a surface.
@@ -91,6 +92,18 @@ impl Sight {
     pub(super) fn quadrant(&self, node: &Node, square: PageSquare, quadrant: Quadrant) -> Seen {
         let (error, range) = node.squares.quadrant(squares::at(square), quadrant);
         self.seen(error, self.square_box(node, square.child(quadrant), range))
+    }
+
+    /// What a square holds, and the box of all of it.
+    pub(super) fn square(&self, node: &Node, square: PageSquare) -> (Kind, WorldBox) {
+        let (column, row) = (square.column as usize, square.row as usize);
+        let known = node.outlines.as_ref();
+        let kind = known.map(|bounds| bounds.box_error(square.level, column, row).kind);
+        let range = node.squares.range_of(square);
+        (
+            kind.unwrap_or_default(),
+            self.square_box(node, square, range),
+        )
     }
 
     fn seen(&self, error: ErrorCode, region: WorldBox) -> Seen {

@@ -1,14 +1,13 @@
 //! What every mesher works on: the resident pages, how they hang together, and which of their
 //! vertices are enabled.
 
+use super::contradiction::{Contradiction, Known};
 use super::page_mesh::{PageMesh, Vertex};
 use super::place::PageSquare;
 use super::squares::{PAGE_SQUARES, Squares};
-use super::vertices::VertexState;
+use super::vertices::{VertexRef, VertexState};
 use super::wants::Wishes;
-use escarp_proto::geometry::{
-    Edge, GridLevels, PAGE_CELLS, PAGE_SAMPLES, PAGE_SLOTS, PageId, Slot,
-};
+use escarp_proto::geometry::{Edge, GridLevels, PAGE_SLOTS, PageId, Slot};
 use escarp_proto::georef::Georef;
 use escarp_proto::page::{Bounds, BoxError, ChildSlot, PAGE_AREA, Page, PageError, SquareErrors};
 use std::collections::HashMap;
@@ -23,14 +22,17 @@ pub enum LinkError {
     /// The page above it is not resident, or says that there is no such page. It came too late.
     #[error("page {0} hangs below nothing that is resident")]
     Orphan(PageId),
-    /// It is not what the page above it says.
-    #[error("page {page} contradicts the page above it: {why}")]
+    /// It is not what the page above it says, or those beside it have.
+    #[error("page {page} contradicts what is known of it: {what}")]
     Contradiction {
         /// The page.
         page: PageId,
-        /// What differs.
-        why: &'static str,
+        /// What it says that cannot be.
+        what: Contradiction,
     },
+    /// It was refused and asked for again, and came without the parts that are missing.
+    #[error("page {0} came again with no more parts than are here")]
+    Repeated(PageId),
     /// It does not decode.
     #[error(transparent)]
     Page(#[from] PageError),
@@ -151,8 +153,9 @@ pub(super) struct Surface {
     pub(super) wishes: Wishes,
     pub(super) updates: u64,
     pub(super) changes: u64,
-    /// Vertices that were enabled or disabled.
-    pub(super) switched: u64,
+    /// Vertices that were enabled, and disabled.
+    pub(super) splits: u64,
+    pub(super) merges: u64,
     pub(super) stamps: u64,
     /// Pages whose mesh may not be up to date.
     pub(super) stale: Vec<Index>,
@@ -160,6 +163,9 @@ pub(super) struct Surface {
     pub(super) triangles: u64,
     /// Memory of what not all pages have alike.
     pub(super) more_bytes: usize,
+    /// Vertices enabled (`true`) and disabled since they were taken, in order; `None` if nobody
+    /// asks.
+    pub(super) flips: Option<Vec<(VertexRef, bool)>>,
 }
 
 impl Surface {
@@ -174,12 +180,19 @@ impl Surface {
             wishes: Wishes::default(),
             updates: 0,
             changes: 0,
-            switched: 0,
+            splits: 0,
+            merges: 0,
             stamps: 0,
             stale: Vec::new(),
             triangles: 0,
             more_bytes: 0,
+            flips: None,
         }
+    }
+
+    /// Changes, and of these vertices enabled, vertices disabled.
+    pub(super) fn counts(&self) -> [u64; 3] {
+        [self.changes, self.splits, self.merges]
     }
 
     pub(super) fn resident(&self) -> usize {
@@ -221,16 +234,18 @@ impl Surface {
     pub(super) fn link(&mut self, page: Page) -> Result<Index, LinkError> {
         let id = page.id();
         if let Some(&index) = self.by_id.get(&id) {
-            self.replace(index, page);
+            self.replace(index, page)?;
             return Ok(index);
         }
-        let parent = self.parent_of(&page)?;
+        let parent = self.parent_of(id)?;
         let promise = parent.map(|(index, slot)| {
             let above = self.node(index);
             Bounds::cell(&above.page, slot, above.promise)
         });
+        let known = Known { parent, promise };
+        let bounds = self.vetted_bounds(&page, known)?;
         let index = self.free.pop().unwrap_or(self.nodes.len() as Index);
-        let node = self.new_node(page, parent, promise);
+        let node = self.new_node(page, bounds, known);
         self.more_bytes += node.more_bytes();
         match self.nodes.get_mut(index as usize) {
             Some(place) => *place = Some(node),
@@ -259,16 +274,11 @@ impl Surface {
         Ok(index)
     }
 
-    fn new_node(
-        &self,
-        page: Page,
-        parent: Option<(Index, Slot)>,
-        promise: Option<BoxError>,
-    ) -> Node {
+    fn new_node(&self, page: Page, bounds: Bounds, known: Known) -> Node {
+        let Known { parent, promise } = known;
         let id = page.id();
         let (x, y) = self.grid.page_origin(id);
         let stride = self.grid.page_stride(id);
-        let bounds = Bounds::derive(&page, promise);
         let range = bounds.box_error(0, 0, 0).range;
         let cells = self.grid.square_cells(id.level());
         Node {
@@ -301,37 +311,26 @@ impl Surface {
         }
     }
 
-    /// Finds the parent and checks the page against it.
-    fn parent_of(&self, page: &Page) -> Result<Option<(Index, Slot)>, LinkError> {
-        let id = page.id();
+    /// The page above, and its slot for this one.
+    fn parent_of(&self, id: PageId) -> Result<Option<(Index, Slot)>, LinkError> {
         let Some((parent, slot)) = id.parent() else {
             return Ok(None);
         };
         let index = *self.by_id.get(&parent).ok_or(LinkError::Orphan(id))?;
-        let parent = &self.node(index).page;
-        if !parent.has_slots() {
-            return Err(LinkError::Orphan(id));
+        match self.node(index).page.has_slots() {
+            true => Ok(Some((index, slot))),
+            false => Err(LinkError::Orphan(id)),
         }
-        let (column, row) = slot.position();
-        let end = PAGE_CELLS;
-        for (x, y) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
-            let above = (row + y) * PAGE_SAMPLES + column + x;
-            let below = y * end * PAGE_SAMPLES + x * end;
-            let known = parent.is_valid(above) && page.is_valid(below);
-            if known && parent.height(above) != page.height(below) {
-                return Err(LinkError::Contradiction {
-                    page: id,
-                    why: "a corner has another height",
-                });
-            }
-        }
-        Ok(Some((index, slot)))
     }
 
     /// More parts of a page: its enabled vertices stay as they are.
-    fn replace(&mut self, index: Index, page: Page) {
-        let promise = self.node(index).promise;
-        let bounds = Bounds::derive(&page, promise);
+    fn replace(&mut self, index: Index, page: Page) -> Result<(), LinkError> {
+        let node = self.node(index);
+        let known = Known {
+            parent: node.parent,
+            promise: node.promise,
+        };
+        let bounds = self.vetted_bounds(&page, known)?;
         let squares = Squares::of(&bounds, page.id(), self.grid, &self.georef);
         let node = self.node_mut(index);
         let before = node.more_bytes();
@@ -344,6 +343,7 @@ impl Surface {
         self.mark_triangles(index);
         self.mark_around(index);
         self.changes += 1;
+        Ok(())
     }
 
     /// A page's triangles are to be made anew.
@@ -448,6 +448,24 @@ impl Surface {
         }
         let slot = Slot::at(child.column as usize, child.row as usize);
         self.child(index, slot).map(|page| (page, PageSquare::ROOT))
+    }
+
+    /// Which vertices were enabled and disabled since the last time, of the two that are one across
+    /// a border only one. They are to be given back emptied, for their room.
+    pub(super) fn take_flips(&mut self) -> Vec<(VertexRef, bool)> {
+        self.flips.as_mut().map(std::mem::take).unwrap_or_default()
+    }
+
+    pub(super) fn give_back_flips(&mut self, emptied: Vec<(VertexRef, bool)>) {
+        if let Some(flips) = self.flips.as_mut().filter(|flips| flips.is_empty()) {
+            *flips = emptied;
+        }
+    }
+
+    /// Notes that a page is of use now.
+    pub(super) fn touch(&mut self, page: Index) {
+        let now = self.updates;
+        self.node_mut(page).last_use = now;
     }
 
     /// A page that needs no record, as the page above has it; `None` if it is resident already.

@@ -20,6 +20,10 @@ pub struct UpdateStats {
     pub squares: u64,
     /// Vertices that were enabled or disabled, pages that were linked or unlinked.
     pub changes: u64,
+    /// Vertices that were enabled.
+    pub splits: u64,
+    /// Vertices that were disabled.
+    pub merges: u64,
     /// Pages that the mesh would use and that are not resident.
     pub wanted: usize,
 }
@@ -40,10 +44,13 @@ impl MeshTree {
 
     /// A tree without pages.
     pub fn with_options(grid: GridLevels, georef: Georef, options: MeshOptions) -> MeshTree {
+        let mesher = options.mesher();
+        let mut surface = Surface::new(grid, georef);
+        surface.flips = mesher.follows_flips().then(Vec::new);
         MeshTree {
-            surface: Surface::new(grid, georef),
-            mesher: options.mesher(),
+            surface,
             options,
+            mesher,
         }
     }
 
@@ -74,7 +81,7 @@ impl MeshTree {
 
     /// Memory that the pages take, bytes, near enough for a cap.
     pub fn memory_bytes(&self) -> usize {
-        self.surface.memory_bytes()
+        self.surface.memory_bytes() + self.mesher.memory_bytes()
     }
 
     /// Links a page whose parent is resident, or more parts of one that is linked.
@@ -111,7 +118,7 @@ impl MeshTree {
     /// Enables and disables vertices for a view, which must be checked, and collects what is
     /// wanted.
     pub fn update(&mut self, view: &View) -> UpdateStats {
-        let before = self.surface.changes;
+        let before = self.surface.counts();
         self.surface.updates += 1;
         let mut squares = 0;
         loop {
@@ -134,11 +141,15 @@ impl MeshTree {
         self.mesher.forget();
     }
 
-    fn stats(&self, excess: f64, squares: u64, before: u64) -> UpdateStats {
+    fn stats(&self, excess: f64, squares: u64, before: [u64; 3]) -> UpdateStats {
+        let now = self.surface.counts();
+        let [changes, splits, merges] = std::array::from_fn(|i| now[i] - before[i]);
         UpdateStats {
             excess,
             squares,
-            changes: self.surface.changes - before,
+            changes,
+            splits,
+            merges,
             wanted: self.surface.wishes.len(),
         }
     }
@@ -167,6 +178,15 @@ impl MeshTree {
     /// All vertices with any state, sorted.
     pub fn flags(&self) -> Vec<VertexFlags> {
         self.surface.flags()
+    }
+
+    /// Holds what the mesher keeps from update to update against a recomputation, after an update
+    /// for this view: for tests.
+    ///
+    /// # Errors
+    /// What differs.
+    pub fn check(&self, view: &View) -> Result<(), String> {
+        self.mesher.check(&self.surface, view)
     }
 
     /// Visits every triangle of the mesh, those in holes included: together they cover the grid.
