@@ -18,3 +18,6 @@ pub mod drive;
 pub mod liar;
 
 pub mod programs;
+
+pub mod peers;
+pub mod report;

@@ -22,6 +22,7 @@ mod mesher;
 mod page_mesh;
 mod place;
 mod quadtree;
+mod roam;
 mod sight;
 mod size;
 mod standing;
