@@ -204,8 +204,8 @@ fn fly(steps: &[Step], all: &[Page]) {
             let index = surface.unlink(id).unwrap();
             mesher.unlinked(index);
         }
-        for axis in 0..3 {
-            eye_m[axis] += step.way_m[axis];
+        for (at_m, way_m) in eye_m.iter_mut().zip(step.way_m) {
+            *at_m += way_m;
         }
         if let Some(jump) = step.jump {
             eye_m = [
