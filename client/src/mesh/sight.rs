@@ -103,7 +103,13 @@ impl Sight {
                 let range = [known.range.lo, known.range.hi].map(i64::from);
                 (known.kind, range)
             }
-            None => (Kind::Full, node.squares.range(squares::at(square))),
+            None => {
+                let above = square.parent();
+                let below = above
+                    .map(|(above, quadrant)| node.squares.quadrant(squares::at(above), quadrant).1);
+                let range = below.unwrap_or_else(|| node.squares.range(squares::ROOT));
+                (Kind::Full, range)
+            }
         };
         (kind, self.square_box(node, square, range))
     }
