@@ -195,15 +195,19 @@ impl Roam {
         notes.is_some_and(|notes| notes.counts(candidate.item, candidate.stamp))
     }
 
-    /// Throws out void entries of the calendar once they are the larger part.
+    /// Throws out void entries of the calendar once they are many, and gives back room that was
+    /// needed for once.
     fn tidy(&mut self) {
-        if self.calendar.len() > 2 * self.existing + 4096 {
+        if self.calendar.len() > self.existing + self.existing / 2 + 4096 {
             let notes = &self.notes;
             self.calendar.retain(|entry| {
                 let of_page = notes[entry.page as usize].as_ref();
                 of_page.is_some_and(|notes| notes.counts(entry.item, entry.stamp))
             });
         }
+        self.splits.shrink_to(4 * self.splits.len() + 1024);
+        self.merges.shrink_to(4 * self.merges.len() + 1024);
+        self.blocked.shrink_to(4 * self.blocked.len() + 1024);
     }
 
     /// Largest bound of a triangle that stands and may be seen, over the tolerance.
