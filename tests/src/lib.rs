@@ -19,4 +19,5 @@ pub mod liar;
 
 pub mod programs;
 
+pub mod peers;
 pub mod report;
