@@ -77,7 +77,6 @@ impl Roam {
         self.existing -= 1;
         if !notes.any_exist() {
             *place = None;
-            pass.surface.touch(page);
         }
     }
 }

@@ -130,6 +130,11 @@ impl Mesher for Roam {
         }
     }
 
+    fn forget(&mut self) {
+        // As if it were the first update: with another threshold, all is tested.
+        self.scale = Scale::NONE;
+    }
+
     fn follows_flips(&self) -> bool {
         true
     }
