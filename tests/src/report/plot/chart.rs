@@ -76,7 +76,7 @@ pub struct Chart {
     pub x: Axis,
     /// Upwards.
     pub y: Axis,
-    /// The curves, the lowest first.
+    /// The curves, the uppermost first.
     pub series: Vec<Series>,
     /// Lines to hold them against.
     pub marks: Vec<Mark>,
@@ -176,7 +176,7 @@ impl Chart {
         for mark in &self.marks {
             self.mark(&mut drawing, font, frame, mark);
         }
-        for series in &self.series {
+        for series in self.series.iter().rev() {
             self.curve(&mut drawing, frame, series);
         }
         drawing

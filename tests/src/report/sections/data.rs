@@ -1,95 +1,10 @@
 //! The parts about bytes, pages and memory.
 
 use super::super::conduct::Report;
-use super::super::leave_out::LeaveOut;
 use super::super::lines::Moment;
-use super::super::plot::{At, Bar, Bars, Mark, Scale, Series, Style, number};
-use super::super::tables::{Table, percent, ratio};
-use super::{Plot, Section, chart};
-
-pub(super) fn leave_out(report: &Report) -> Section {
-    let (name, px) = (&report.dataset.name, report.reference_px);
-    let mut table = Table::new(&[
-        "mesher",
-        "bytes received",
-        "of the dataset",
-        "received / used",
-        "pages received",
-        "of",
-        "pages drawn",
-        "in view",
-        "triangles",
-        "of the full surface",
-        "triangles in view",
-    ]);
-    for out in &report.leave_out {
-        table.rows.push(vec![
-            out.mesher.to_string(),
-            number(out.received_bytes as f64),
-            percent(out.received_bytes as f64 / out.dataset_bytes.max(1) as f64),
-            ratio(out.received_over_used),
-            number(out.received_pages as f64),
-            number(out.dataset_pages as f64),
-            number(out.drawn_pages as f64),
-            number(out.seen_pages as f64),
-            number(out.triangles as f64),
-            percent(out.triangles as f64 / out.full_triangles.max(1) as f64),
-            number(out.seen_triangles as f64),
-        ]);
-    }
-    let bars = |first: &LeaveOut| {
-        let bar = |name: &str, value: u64| Bar {
-            name: name.into(),
-            parts: vec![value as f64],
-        };
-        let chart = |title: &str, label: &str, bars: Vec<Bar>| {
-            Plot::Bars(Bars {
-                title: format!("{name}, {}: {title}", first.mesher),
-                label: label.into(),
-                parts: vec![String::new()],
-                bars,
-            })
-        };
-        vec![
-            (
-                "leave-out-bytes",
-                chart(
-                    "bytes of one view",
-                    "bytes",
-                    vec![
-                        bar("the whole dataset", first.dataset_bytes),
-                        bar("received", first.received_bytes),
-                        bar("used by the mesh", first.used_bytes),
-                    ],
-                ),
-            ),
-            (
-                "leave-out-triangles",
-                chart(
-                    "triangles of one view",
-                    "triangles",
-                    vec![
-                        bar("full resolution", first.full_triangles),
-                        bar("of the mesh", first.triangles),
-                        bar("in pages in view", first.sent_triangles),
-                        bar("in view", first.seen_triangles),
-                    ],
-                ),
-            ),
-        ]
-    };
-    Section {
-        title: "What is left out",
-        shows: format!(
-            "One view, the last of the flight, at {px} px, with nothing there before. Bytes are those of the parts of records \
-             that were asked for; used are those without which the mesh could not be what it is. The full surface has two \
-             triangles a cell; what the tolerance does not need, and what cannot be seen, is left out of it."
-        ),
-        correct: "Bytes received over bytes used near 1, and both a small part of the dataset; few triangles that are not in view.",
-        plots: report.leave_out.first().map(bars).unwrap_or_default(),
-        table: Some(table),
-    }
-}
+use super::super::plot::{At, Mark, Scale, Series, Style, number};
+use super::super::tables::{Table, ratio};
+use super::{Section, chart};
 
 pub(super) fn cold_starts(report: &Report) -> Section {
     let (name, px) = (&report.dataset.name, report.reference_px);
@@ -150,7 +65,7 @@ pub(super) fn cold_starts(report: &Report) -> Section {
             ("cold-bytes", chart(format!("{name}: bytes against seconds since connecting"), bytes, x,
                 ("bytes received", Scale::Log), Vec::new())),
         ],
-        table: Some(table),
+        tables: vec![table],
     }
 }
 
@@ -191,6 +106,6 @@ pub(super) fn sizes(report: &Report) -> Section {
         ),
         correct: "Memory that follows the mesh and not the dataset.",
         plots: Vec::new(),
-        table: Some(table),
+        tables: vec![table],
     }
 }

@@ -82,7 +82,7 @@ pub(super) fn error_against_time(report: &Report) -> Section {
                 ),
             ),
         ],
-        table: Some(tables::runs(report)),
+        tables: vec![tables::runs(report)],
     }
 }
 
@@ -150,7 +150,7 @@ pub(super) fn error_against_triangles(report: &Report) -> Section {
                     vec![Mark { at: At::Diagonal, label: "as asked".into() }]),
             ),
         ],
-        table: Some(table),
+        tables: vec![table],
     }
 }
 
@@ -229,6 +229,6 @@ pub(super) fn distribution(report: &Report) -> Section {
                 ),
             ),
         ],
-        table: None,
+        tables: Vec::new(),
     }
 }

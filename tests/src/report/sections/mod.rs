@@ -2,6 +2,7 @@
 
 mod data;
 mod error;
+mod savings;
 mod time;
 
 use super::conduct::Report;
@@ -31,7 +32,7 @@ pub struct Section {
     /// `(name of the files, plot)`.
     pub plots: Vec<(&'static str, Plot)>,
     /// Numbers.
-    pub table: Option<Table>,
+    pub tables: Vec<Table>,
 }
 
 /// All parts.
@@ -43,7 +44,7 @@ pub fn sections(report: &Report) -> Vec<Section> {
         time::stages(report),
         time::frames(report),
         time::pops(report),
-        data::leave_out(report),
+        savings::leave_out(report),
         data::cold_starts(report),
         data::sizes(report),
     ]

@@ -87,7 +87,7 @@ pub(super) fn stages(report: &Report) -> Section {
                 ),
             ),
         ],
-        table: Some(table),
+        tables: vec![table],
     }
 }
 
@@ -168,7 +168,7 @@ pub(super) fn frames(report: &Report) -> Section {
                 ),
             ),
         ],
-        table: Some(table),
+        tables: vec![table],
     }
 }
 
@@ -244,6 +244,6 @@ pub(super) fn pops(report: &Report) -> Section {
                 }],
             ),
         )],
-        table: Some(table),
+        tables: vec![table],
     }
 }
