@@ -131,6 +131,12 @@ impl MeshTree {
         }
     }
 
+    /// Makes the next update test every triangle anew, whether or not it can have changed: the
+    /// mesh does not change by that, only the cost of the update. For measurements.
+    pub fn forget_tests(&mut self) {
+        self.mesher.forget();
+    }
+
     fn stats(&self, excess: f64, squares: u64, before: u64) -> UpdateStats {
         UpdateStats {
             excess,
