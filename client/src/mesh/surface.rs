@@ -462,12 +462,6 @@ impl Surface {
         }
     }
 
-    /// Notes that a page is of use now.
-    pub(super) fn touch(&mut self, page: Index) {
-        let now = self.updates;
-        self.node_mut(page).last_use = now;
-    }
-
     /// A page that needs no record, as the page above has it; `None` if it is resident already.
     pub(super) fn implied(&self, id: PageId) -> Option<Page> {
         let (above, slot) = id.parent().filter(|_| !self.by_id.contains_key(&id))?;
