@@ -123,7 +123,8 @@ pub fn measure(tree: &MeshTree, data: &TempDataset, view: &View, in_view: bool) 
                     continue;
                 };
                 let sample = data.sample(x, y);
-                let at = georef.world(x, y, sample.unwrap_or(0));
+                // In a hole it is the triangle that is there.
+                let at = georef.world(x, y, sample.unwrap_or(plane.round() as i32));
                 let point = WorldBox { min: at, max: at };
                 if in_view && !frustum.may_see(&point) {
                     continue;

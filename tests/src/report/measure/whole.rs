@@ -111,7 +111,9 @@ impl Scene<'_> {
             shared,
         } = point;
         let sample = self.samples.height(x, y);
-        let Some(at_m) = self.judge.sees(x, y, sample.unwrap_or(0)) else {
+        // In a hole it is the triangle that is there.
+        let there = sample.unwrap_or(height.round() as i32);
+        let Some(at_m) = self.judge.sees(x, y, there) else {
             return;
         };
         let coarse = || size_m > self.judge.distance_m(at_m) * self.tolerance;
