@@ -319,7 +319,9 @@ impl TerrainClient for RemoteTerrain {
         let terrain = self.terrain.as_ref();
         let excess = terrain.map_or(f64::INFINITY, |_| self.last_step.excess);
         let mesh = &self.options.mesh;
-        let promises = mesh.mesher.keeps_tolerance() && mesh.metric == Metric::Bounding;
+        // Where the mesher keeps to a number of triangles, the tolerance may have to give way.
+        let limited = mesh.max_triangles.is_some() && mesh.mesher.keeps_triangles();
+        let promises = mesh.mesher.keeps_tolerance() && mesh.metric == Metric::Bounding && !limited;
         StepStats {
             triangles: self.last_step.triangles,
             bytes_received: link.received_bytes,

@@ -20,6 +20,10 @@ pub struct UpdateStats {
     pub squares: u64,
     /// Vertices that were enabled or disabled, pages that were linked or unlinked.
     pub changes: u64,
+    /// Vertices that were enabled.
+    pub splits: u64,
+    /// Vertices that were disabled.
+    pub merges: u64,
     /// Pages that the mesh would use and that are not resident.
     pub wanted: usize,
 }
@@ -114,7 +118,7 @@ impl MeshTree {
     /// Enables and disables vertices for a view, which must be checked, and collects what is
     /// wanted.
     pub fn update(&mut self, view: &View) -> UpdateStats {
-        let before = self.surface.changes;
+        let before = self.surface.counts();
         self.surface.updates += 1;
         let mut squares = 0;
         loop {
@@ -137,11 +141,15 @@ impl MeshTree {
         self.mesher.forget();
     }
 
-    fn stats(&self, excess: f64, squares: u64, before: u64) -> UpdateStats {
+    fn stats(&self, excess: f64, squares: u64, before: [u64; 3]) -> UpdateStats {
+        let now = self.surface.counts();
+        let [changes, splits, merges] = std::array::from_fn(|i| now[i] - before[i]);
         UpdateStats {
             excess,
             squares,
-            changes: self.surface.changes - before,
+            changes,
+            splits,
+            merges,
             wanted: self.surface.wishes.len(),
         }
     }
