@@ -1,6 +1,6 @@
 //! A feed of pages without a network: what the mesh tree wishes for, it gets.
 
-use escarp_client::mesh::{MeshTree, UpdateStats, Wish};
+use escarp_client::mesh::{MeshOptions, MeshTree, UpdateStats, Wish};
 use escarp_proto::page::{Page, RecordHeader};
 use escarp_proto::view::View;
 use escarp_tiles::dataset::Dataset;
@@ -15,9 +15,15 @@ pub struct Feed<'a> {
 impl<'a> Feed<'a> {
     /// A tree without pages.
     pub fn new(dataset: &'a Dataset) -> Self {
+        Feed::with_options(dataset, MeshOptions::default())
+    }
+
+    /// A tree without pages, meshed in another way.
+    pub fn with_options(dataset: &'a Dataset, options: MeshOptions) -> Self {
         let manifest = dataset.manifest();
+        let (grid, georef) = (manifest.grid_levels, manifest.georef.clone());
         Feed {
-            tree: MeshTree::new(manifest.grid_levels, manifest.georef.clone()),
+            tree: MeshTree::with_options(grid, georef, options),
             dataset,
         }
     }

@@ -51,6 +51,11 @@ impl Surface {
 
     /// Visits every triangle of the mesh, those in holes included: together they cover the grid.
     pub(super) fn visit_triangles(&self, mut visit: impl FnMut(SurfaceTriangle)) {
+        self.visit_displayed(|triangle, _| visit(triangle));
+    }
+
+    /// The same with displayed heights, quanta.
+    pub(super) fn visit_displayed(&self, mut visit: impl FnMut(SurfaceTriangle, [f64; 3])) {
         for index in 0..self.nodes.len() as Index {
             let Some(node) = &self.nodes[index as usize] else {
                 continue;
@@ -73,7 +78,14 @@ impl Surface {
                     .iter()
                     .all(|&corner| node.page.is_valid(corner as usize));
                 let drawn = valid && leaf.kind != escarp_proto::page::Kind::Empty;
-                visit(SurfaceTriangle { corners, drawn });
+                let offset = |corner: u16| {
+                    let offsets = node.mesh.offsets.as_ref();
+                    offsets.map_or(0.0, |offsets| offsets[corner as usize])
+                };
+                let displayed = leaf.corners.map(|corner| {
+                    f64::from(node.page.height(corner as usize)) + f64::from(offset(corner))
+                });
+                visit(SurfaceTriangle { corners, drawn }, displayed);
             });
         }
     }

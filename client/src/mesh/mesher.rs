@@ -120,6 +120,9 @@ pub struct MeshOptions {
     pub metric: Metric,
     /// Most triangles, for the meshers that can keep to it.
     pub max_triangles: Option<u32>,
+    /// Share of the tolerance over which vertices come and go gradually, at most
+    /// [`MORPH_SHARES`](super::MORPH_SHARES)`[1]`; less than its least is off, and costs nothing.
+    pub morph: f64,
 }
 
 impl MeshOptions {

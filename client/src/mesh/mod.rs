@@ -16,6 +16,7 @@
 mod audit;
 mod frustum;
 mod mesher;
+mod morph;
 mod page_mesh;
 mod place;
 mod quadtree;
@@ -29,6 +30,7 @@ mod wants;
 pub use audit::{SurfaceTriangle, VertexFlags};
 pub use frustum::Frustum;
 pub use mesher::{MeshOptions, MesherKind, Metric};
+pub use morph::MORPH_SHARES;
 pub use page_mesh::{PageMesh, Vertex};
 pub use surface::LinkError;
 pub use tree::{MeshTree, UpdateStats};

@@ -28,6 +28,14 @@ impl Vertex {
     }
 }
 
+impl PageMesh {
+    /// Height at which a vertex is displayed, quanta.
+    pub fn displayed(&self, sample: usize) -> f64 {
+        let offset = self.offsets.as_ref().map_or(0.0, |offsets| offsets[sample]);
+        f64::from(self.vertices[sample].height) + f64::from(offset)
+    }
+}
+
 const _: () = assert!(size_of::<Vertex>() == 8);
 
 /// The triangles of one page.
@@ -45,6 +53,10 @@ pub struct PageMesh {
     pub vertices: Vec<Vertex>,
     /// Changes whenever `vertices` does; never the same for two pages.
     pub vertex_stamp: u64,
+    /// How far each vertex is displayed above its height, quanta; `None` if none is.
+    pub offsets: Option<Vec<f32>>,
+    /// Changes whenever `offsets` does; never the same for two pages, but 0 if there were none.
+    pub offset_stamp: u64,
     /// Three a triangle, counter-clockwise seen from above.
     pub indices: Vec<u16>,
     /// Changes whenever `indices` does; never the same for two pages.

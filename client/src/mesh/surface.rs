@@ -78,6 +78,8 @@ pub(super) struct Node {
     pub(super) stale_triangles: bool,
     /// The mesh's vertices are not up to date: all, or those on some edges.
     pub(super) stale_vertices: Stale,
+    /// Vertices have been enabled or disabled since the morph was updated.
+    pub(super) flagged: bool,
 }
 
 /// The resident pages, and the mesh that their enabled vertices make. Whatever a mesher does to
@@ -209,6 +211,8 @@ impl Surface {
                 bounds: self.georef.world_box([x, x + cells], [y, y + cells], range),
                 vertices: Vec::new(),
                 vertex_stamp: 0,
+                offsets: None,
+                offset_stamp: 0,
                 indices: Vec::new(),
                 index_stamp: 0,
             },
@@ -225,6 +229,7 @@ impl Surface {
             last_use: self.updates,
             stale_triangles: true,
             stale_vertices: Stale::ALL,
+            flagged: false,
         }
     }
 

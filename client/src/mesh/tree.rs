@@ -1,13 +1,14 @@
 //! The mesh tree: a surface, and the mesher that works on it.
 
 use super::audit::{SurfaceTriangle, VertexFlags};
-use super::mesher::{MeshOptions, Mesher};
+use super::mesher::{Found, MeshOptions, Mesher};
+use super::morph::Morph;
 use super::page_mesh::PageMesh;
 use super::surface::{LinkError, Surface};
 use super::wants::Wish;
 use escarp_proto::geometry::{GridLevels, PageId};
 use escarp_proto::georef::Georef;
-use escarp_proto::page::Page;
+use escarp_proto::page::{PAGE_AREA, Page};
 use escarp_proto::view::View;
 
 /// What an update found.
@@ -30,6 +31,7 @@ pub struct MeshTree {
     surface: Surface,
     options: MeshOptions,
     mesher: Box<dyn Mesher>,
+    morph: Option<Morph>,
 }
 
 impl MeshTree {
@@ -43,6 +45,7 @@ impl MeshTree {
         MeshTree {
             surface: Surface::new(grid, georef),
             mesher: options.mesher(),
+            morph: Morph::of(options.morph),
             options,
         }
     }
@@ -74,7 +77,8 @@ impl MeshTree {
 
     /// Memory that the pages take, bytes, near enough for a cap.
     pub fn memory_bytes(&self) -> usize {
-        self.surface.memory_bytes()
+        let morph = self.morph.as_ref().map_or(0, Morph::memory_bytes);
+        self.surface.memory_bytes() + morph
     }
 
     /// Links a page whose parent is resident, or more parts of one that is linked.
@@ -84,6 +88,9 @@ impl MeshTree {
     pub fn link(&mut self, page: Page) -> Result<(), LinkError> {
         let index = self.surface.link(page)?;
         self.mesher.linked(&self.surface, index);
+        if let Some(morph) = &mut self.morph {
+            morph.linked(index);
+        }
         Ok(())
     }
 
@@ -101,6 +108,9 @@ impl MeshTree {
             for id in idle.into_iter().take(some) {
                 if let Some(index) = self.surface.unlink(id) {
                     self.mesher.unlinked(index);
+                    if let Some(morph) = &mut self.morph {
+                        morph.unlinked(index);
+                    }
                     gone.push(id);
                 }
             }
@@ -113,27 +123,35 @@ impl MeshTree {
     pub fn update(&mut self, view: &View) -> UpdateStats {
         let before = self.surface.changes;
         self.surface.updates += 1;
+        let morph = self.morph.as_ref();
+        let tested = morph.map_or(*view, |morph| morph.tested(view));
+        let mut found = self.mesh(&tested);
+        if let Some(morph) = &mut self.morph {
+            morph.update(&mut self.surface, view);
+            found.excess = morph.excess(view, found.excess);
+        }
+        UpdateStats {
+            excess: found.excess,
+            squares: found.squares,
+            changes: self.surface.changes - before,
+            wanted: self.surface.wishes.len(),
+        }
+    }
+
+    fn mesh(&mut self, view: &View) -> Found {
         let mut squares = 0;
         loop {
             self.surface.wishes.clear();
             if !self.surface.enable_root() {
                 self.surface.want_root();
-                return self.stats(f64::INFINITY, squares, before);
+                let excess = f64::INFINITY;
+                return Found { excess, squares };
             }
             let found = self.mesher.update(&mut self.surface, view);
             squares += found.squares;
             if !self.link_implied() {
-                return self.stats(found.excess, squares, before);
+                return Found { squares, ..found };
             }
-        }
-    }
-
-    fn stats(&self, excess: f64, squares: u64, before: u64) -> UpdateStats {
-        UpdateStats {
-            excess,
-            squares,
-            changes: self.surface.changes - before,
-            wanted: self.surface.wishes.len(),
         }
     }
 
@@ -166,5 +184,29 @@ impl MeshTree {
     /// Visits every triangle of the mesh, those in holes included: together they cover the grid.
     pub fn visit_triangles(&self, visit: impl FnMut(SurfaceTriangle)) {
         self.surface.visit_triangles(visit);
+    }
+
+    /// As [`visit_triangles`](Self::visit_triangles), with the heights at which the corners are
+    /// displayed, quanta.
+    pub fn visit_displayed(&self, visit: impl FnMut(SurfaceTriangle, [f64; 3])) {
+        self.surface.visit_displayed(visit);
+    }
+
+    /// How far each enabled vertex has come from the edge that it splits, 0, to its height, 1: page
+    /// by page with its samples. Nothing if there is no morph.
+    pub fn weights(&self) -> Vec<(PageId, u16, f64)> {
+        let Some(morph) = &self.morph else {
+            return Vec::new();
+        };
+        let nodes = (0..).zip(&self.surface.nodes);
+        let pages = nodes.filter_map(|(index, node)| Some((index, node.as_ref()?.page.id())));
+        let weights = pages.flat_map(|(index, id)| {
+            let sample = 0..PAGE_AREA as u16;
+            sample.filter_map(move |sample| {
+                let weight = morph.weight(index, sample.into())?;
+                Some((id, sample, weight))
+            })
+        });
+        weights.collect()
     }
 }

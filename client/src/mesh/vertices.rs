@@ -219,6 +219,7 @@ impl Surface {
                 node.enabled - 1
             };
             node.stale_triangles = true;
+            node.flagged = true;
             let parent = node.parent;
             if let Some((parent, _)) = parent
                 && sample as usize == PageSquare::ROOT.centre()

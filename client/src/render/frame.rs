@@ -10,7 +10,20 @@ use escarp_proto::georef::{Georef, Plane};
 use glam::{DVec3, Vec3};
 
 /// Shader source that every pass begins with.
-pub const COMMON: &str = include_str!("common.wgsl");
+const COMMON: &str = include_str!("common.wgsl");
+/// How pages are placed: at their heights, or beside them.
+const PLACE: &str = include_str!("place.wgsl");
+const PLACE_MORPHED: &str = include_str!("place_morphed.wgsl");
+
+/// Whether a pass reads pages, and how they are placed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Reads {
+    Nothing,
+    /// Pages whose vertices are at their heights.
+    Pages,
+    /// Pages with an offset for each vertex.
+    MorphedPages,
+}
 
 /// Share of light that a metre of air on the ground scatters: one in 150 km.
 const AIR_A_METRE: f32 = 1.0 / 150_000.0;
@@ -185,9 +198,9 @@ impl FrameBinding {
 /// How one pass differs from the others.
 pub struct PassKind<'a> {
     pub label: &'a str,
-    /// Follows [`COMMON`].
+    /// Follows what all passes share.
     pub shader: &'a str,
-    pub reads_pages: bool,
+    pub reads: Reads,
     pub primitive: wgpu::PrimitiveState,
     pub writes_depth: bool,
     pub depth_compare: wgpu::CompareFunction,
@@ -201,14 +214,23 @@ pub fn pipeline(
     output: Output,
     kind: &PassKind<'_>,
 ) -> wgpu::RenderPipeline {
-    let source = format!("{COMMON}\n{}", kind.shader);
+    let place = match kind.reads {
+        Reads::MorphedPages => PLACE_MORPHED,
+        Reads::Pages | Reads::Nothing => PLACE,
+    };
+    let source = format!("{COMMON}\n{place}\n{}", kind.shader);
     let module = gpu
         .device
         .create_shader_module(wgpu::ShaderModuleDescriptor {
             label: Some(kind.label),
             source: wgpu::ShaderSource::Wgsl(source.into()),
         });
-    let page_buffers = [Some(vertex_layout()), Some(instance_layout())];
+    let layouts = [vertex_layout(), instance_layout(), offset_layout()].map(Some);
+    let buffers = match kind.reads {
+        Reads::Nothing => &layouts[..0],
+        Reads::Pages => &layouts[..2],
+        Reads::MorphedPages => &layouts[..],
+    };
     let target = wgpu::ColorTargetState {
         format: output.format,
         blend: kind.blend,
@@ -222,7 +244,7 @@ pub fn pipeline(
                 module: &module,
                 entry_point: Some("vertex"),
                 compilation_options: Default::default(),
-                buffers: if kind.reads_pages { &page_buffers } else { &[] },
+                buffers,
             },
             primitive: kind.primitive,
             depth_stencil: Some(wgpu::DepthStencilState {
@@ -263,6 +285,15 @@ fn instance_layout() -> wgpu::VertexBufferLayout<'static> {
     wgpu::VertexBufferLayout {
         array_stride: size_of::<PageInstance>() as u64,
         step_mode: wgpu::VertexStepMode::Instance,
+        attributes: &ATTRIBUTES,
+    }
+}
+
+fn offset_layout() -> wgpu::VertexBufferLayout<'static> {
+    const ATTRIBUTES: [wgpu::VertexAttribute; 1] = wgpu::vertex_attr_array![4 => Float32];
+    wgpu::VertexBufferLayout {
+        array_stride: size_of::<f32>() as u64,
+        step_mode: wgpu::VertexStepMode::Vertex,
         attributes: &ATTRIBUTES,
     }
 }

@@ -185,6 +185,8 @@ fn seam(georef: &Georef, torn: bool) -> Vec<PageMesh> {
                 },
                 vertices: vertices.collect(),
                 vertex_stamp: id.key() + 1,
+                offsets: None,
+                offset_stamp: 0,
                 indices: if stride == 1 { fans } else { full_triangles() },
                 index_stamp: id.key() + 1,
             }
