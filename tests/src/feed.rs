@@ -18,7 +18,7 @@ impl<'a> Feed<'a> {
         Feed::with_options(dataset, MeshOptions::default())
     }
 
-    /// A tree without pages, meshed in another way.
+    /// A tree without pages that meshes so.
     pub fn with_options(dataset: &'a Dataset, options: MeshOptions) -> Self {
         let manifest = dataset.manifest();
         let (grid, georef) = (manifest.grid_levels, manifest.georef.clone());

@@ -1,10 +1,20 @@
 //! What decides which vertices of a surface are enabled.
 
+use super::distance::Distance;
+use super::levels::Levels;
+use super::morph::{MORPH_SHARES, Morph};
 use super::quadtree::Quadtree;
 use super::surface::{Index, Surface};
 use escarp_proto::view::View;
 use std::fmt::{self, Debug, Display};
 use std::str::FromStr;
+use thiserror::Error;
+
+/// Allowed ratios of distance to size. At the largest, squares of one level reach 128 of their
+/// sides from the eye: at most `(2 * 128 + 2)^2` are split, whatever the tolerance.
+pub const SPLIT_RATIOS: [f64; 2] = [1.0, 128.0];
+/// Allowed levels of blocks: all samples, every second, fourth, eighth each way.
+pub const BLOCK_LEVELS: [u8; 2] = [1, 4];
 
 /// Decides which vertices are enabled.
 ///
@@ -40,16 +50,26 @@ pub enum MesherKind {
     /// Ulrich's adaptive quadtree (2000), by bounds that hold.
     #[default]
     Quadtree,
+    /// Squares split by the ratio of distance to size alone.
+    Distance,
+    /// Blocks of fixed levels, chosen or by distance.
+    Levels,
 }
 
 impl MesherKind {
     /// All of them.
-    pub const ALL: &[MesherKind] = &[MesherKind::Quadtree];
+    pub const ALL: &[MesherKind] = &[
+        MesherKind::Quadtree,
+        MesherKind::Distance,
+        MesherKind::Levels,
+    ];
 
     /// Its name, as options and reports have it.
     pub const fn name(self) -> &'static str {
         match self {
             MesherKind::Quadtree => "quadtree",
+            MesherKind::Distance => "distance",
+            MesherKind::Levels => "levels",
         }
     }
 
@@ -120,15 +140,72 @@ pub struct MeshOptions {
     pub metric: Metric,
     /// Most triangles, for the meshers that can keep to it.
     pub max_triangles: Option<u32>,
-    /// Share of the tolerance over which vertices come and go gradually, at most
-    /// [`MORPH_SHARES`](super::MORPH_SHARES)`[1]`; less than its least is off, and costs nothing.
+    /// Share of the tolerance over which vertices come and go gradually, in [`MORPH_SHARES`]; 0 is
+    /// off. For meshers that keep the tolerance; others take no notice of it.
     pub morph: f64,
+    /// Ratio of distance to size within which `distance` and `levels` split, in [`SPLIT_RATIOS`];
+    /// `None`: it follows the tolerance.
+    pub split_ratio: Option<f64>,
+    /// Level of all blocks of `levels`, in [`BLOCK_LEVELS`]; `None`: by distance.
+    pub level: Option<u8>,
+}
+
+/// An option that no mesher can keep to.
+#[derive(Debug, Clone, PartialEq, Error)]
+#[error("{option} is {found}, allowed is {allowed}")]
+pub struct MeshOptionsError {
+    /// The option.
+    pub option: &'static str,
+    /// Its value.
+    pub found: String,
+    /// What may stand there.
+    pub allowed: String,
 }
 
 impl MeshOptions {
+    /// # Errors
+    /// The first option that is out of its range.
+    pub fn check(&self) -> Result<(), MeshOptionsError> {
+        let error = |option, found: String, allowed: String| {
+            Err(MeshOptionsError {
+                option,
+                found,
+                allowed,
+            })
+        };
+        let [least, most] = SPLIT_RATIOS;
+        let allowed = |ratio: &f64| (least..=most).contains(ratio);
+        if let Some(ratio) = self.split_ratio.filter(|ratio| !allowed(ratio)) {
+            return error(
+                "split_ratio",
+                ratio.to_string(),
+                format!("{least}..={most}"),
+            );
+        }
+        let [least, most] = BLOCK_LEVELS;
+        let allowed = |level: &u8| (least..=most).contains(level);
+        if let Some(level) = self.level.filter(|level| !allowed(level)) {
+            return error("level", level.to_string(), format!("{least}..={most}"));
+        }
+        let [least, most] = MORPH_SHARES;
+        if self.morph != 0.0 && !(least..=most).contains(&self.morph) {
+            let allowed = format!("0 or {least}..={most}");
+            return error("morph", self.morph.to_string(), allowed);
+        }
+        Ok(())
+    }
+
+    /// The morph, if there is to be one: weights go by the bounds that the mesher tests.
+    pub(super) fn morph(&self) -> Option<Morph> {
+        let tested = self.mesher.keeps_tolerance() && self.metric == Metric::Bounding;
+        Morph::of(self.morph).filter(|_| tested)
+    }
+
     pub(super) fn mesher(&self) -> Box<dyn Mesher> {
         match self.mesher {
             MesherKind::Quadtree => Box::new(Quadtree::new(self)),
+            MesherKind::Distance => Box::new(Distance::new(self)),
+            MesherKind::Levels => Box::new(Levels::new(self)),
         }
     }
 }

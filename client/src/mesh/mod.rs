@@ -14,13 +14,17 @@
 //! 4. Pages are linked and unlinked between updates only.
 
 mod audit;
+mod distance;
 mod frustum;
+mod levels;
 mod mesher;
 mod morph;
 mod page_mesh;
 mod place;
 mod quadtree;
 mod sight;
+mod size;
+mod standing;
 mod surface;
 mod tree;
 mod triangulate;
@@ -29,7 +33,7 @@ mod wants;
 
 pub use audit::{SurfaceTriangle, VertexFlags};
 pub use frustum::Frustum;
-pub use mesher::{MeshOptions, MesherKind, Metric};
+pub use mesher::{BLOCK_LEVELS, MeshOptions, MeshOptionsError, MesherKind, Metric, SPLIT_RATIOS};
 pub use morph::MORPH_SHARES;
 pub use page_mesh::{PageMesh, Vertex};
 pub use surface::LinkError;

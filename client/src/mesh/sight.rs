@@ -5,7 +5,7 @@ use super::place::PageSquare;
 use super::surface::{Node, Surface};
 use escarp_proto::geometry::{Edge, Quadrant};
 use escarp_proto::georef::WorldBox;
-use escarp_proto::page::Range;
+use escarp_proto::page::{Kind, Range};
 use escarp_proto::view::{Tests, View, error_m};
 
 /// A view of a surface.
@@ -78,6 +78,13 @@ impl Sight {
             false => error_m(below.error, below.kind, self.quantum_m, half_diagonal_m),
         };
         self.seen(error_m, self.square_box(node, child, below.range))
+    }
+
+    /// What a square holds, and the box of all of it.
+    pub(super) fn square(&self, node: &Node, square: PageSquare) -> (Kind, WorldBox) {
+        let (column, row) = (square.column as usize, square.row as usize);
+        let known = node.bounds.box_error(square.level, column, row);
+        (known.kind, self.square_box(node, square, known.range))
     }
 
     fn seen(&self, error_m: f64, region: WorldBox) -> Seen {

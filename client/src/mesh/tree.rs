@@ -45,7 +45,7 @@ impl MeshTree {
         MeshTree {
             surface: Surface::new(grid, georef),
             mesher: options.mesher(),
-            morph: Morph::of(options.morph),
+            morph: options.morph(),
             options,
         }
     }
