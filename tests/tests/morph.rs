@@ -146,7 +146,7 @@ fn while_pages_are_missing_there_is_no_crack_and_the_stated_bound_holds() {
     for (seed, (name, data)) in (0..).zip(&terrains()) {
         let cells = data.dataset.grid().cells_per_side();
         let mut feed = Feed::with_options(&data.dataset, options(0.25));
-        for (step, view) in (0..).zip(flight(seed * 100 + 7, 100)) {
+        for (step, view) in (0..).zip(flight(seed * 100 + 7, 40)) {
             let stats = feed.tree.update(&view);
             for wish in feed
                 .tree
@@ -243,19 +243,18 @@ fn largest_jump(data: &TempDataset, morph: f64, frames: u32, error_px: f32) -> (
 }
 
 #[test]
-fn in_a_slow_flight_nothing_jumps_by_more_than_a_tenth_of_the_tolerance() {
+fn in_a_slow_flight_nothing_jumps_by_more_than_a_thirtieth_of_the_tolerance() {
     // Without holes: an outline jumps as triangles come and go along it.
     let side = 257;
     for (name, data, jumps) in [
         ("hills", TempDataset::of(side, side, hills), 100),
         ("noise", TempDataset::of(side, side, noise), 1),
-        ("cliff", TempDataset::of(side, side, cliff), 1),
     ] {
         for error_px in [1.0, 4.0] {
             let (with, _) = largest_jump(&data, 0.25, 60, error_px);
             let (without, many) = largest_jump(&data, 0.0, 60, error_px);
             println!("{name} {error_px} px: {with} with, {without} without ({many} jumps)");
-            assert!(with <= 0.1, "{name} {error_px} px: {with}");
+            assert!(with <= 1.0 / 30.0, "{name} {error_px} px: {with}");
             let jumps = if error_px > 1.0 { jumps } else { 0 };
             assert!(
                 many >= jumps && (jumps == 0 || without > 0.1),
@@ -272,7 +271,7 @@ fn a_vertex_comes_and_goes_where_it_lies_on_the_edge_that_it_splits() {
     let mut feed = Feed::with_options(&data.dataset, options(0.25));
     let mut before = None;
     let mut changes = 0;
-    for frame in 0..200 {
+    for frame in 0..120 {
         feed.converge(&slow(frame, 1.0));
         let now = weighted(&feed.tree, grid).expect("equal on both sides");
         if let Some(before) = &before {
@@ -285,7 +284,7 @@ fn a_vertex_comes_and_goes_where_it_lies_on_the_edge_that_it_splits() {
         }
         before = Some(now);
     }
-    assert!(changes > 100, "{changes}");
+    assert!(changes > 60, "{changes}");
 }
 
 #[test]

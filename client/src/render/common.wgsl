@@ -70,3 +70,14 @@ fn on_screen(colour: vec3f) -> vec4f {
     let high = 1.055 * pow(linear, vec3f(1.0 / 2.4)) - 0.055;
     return vec4f(select(high, low, linear <= vec3f(0.0031308)), 1.0);
 }
+
+// From the eye, metres. Only integers that are the same in every page that shares the vertex go
+// in, and an offset that is the same to the bit, so the result is, too: no cracks. A page's
+// vertices start at a multiple of 289, so that the index says the place whether or not it counts
+// the first vertex in.
+fn place(index: u32, height: i32, page: Page) -> vec3f {
+    let k = i32(index % 289u);
+    let steps = page.origin + vec2i(k % 17, k / 17) * i32(page.stride);
+    let above = quanta_above(height, frame.heights.x, page);
+    return vec3f(vec2f(steps), above) * frame.spacing.xyz - frame.remainder.xyz;
+}

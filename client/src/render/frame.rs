@@ -11,9 +11,9 @@ use glam::{DVec3, Vec3};
 
 /// Shader source that every pass begins with.
 const COMMON: &str = include_str!("common.wgsl");
-/// How pages are placed: at their heights, or beside them.
-const PLACE: &str = include_str!("place.wgsl");
-const PLACE_MORPHED: &str = include_str!("place_morphed.wgsl");
+/// Vertices at their heights, or on their way.
+const STILL: &str = include_str!("still.wgsl");
+const MORPHED: &str = include_str!("morphed.wgsl");
 
 /// Whether a pass reads pages, and how they are placed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -214,11 +214,11 @@ pub fn pipeline(
     output: Output,
     kind: &PassKind<'_>,
 ) -> wgpu::RenderPipeline {
-    let place = match kind.reads {
-        Reads::MorphedPages => PLACE_MORPHED,
-        Reads::Pages | Reads::Nothing => PLACE,
+    let page = match kind.reads {
+        Reads::MorphedPages => MORPHED,
+        Reads::Pages | Reads::Nothing => STILL,
     };
-    let source = format!("{COMMON}\n{place}\n{}", kind.shader);
+    let source = format!("{COMMON}\n{page}\n{}", kind.shader);
     let module = gpu
         .device
         .create_shader_module(wgpu::ShaderModuleDescriptor {
