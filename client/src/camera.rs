@@ -1,7 +1,7 @@
 //! A camera that flies, and the views it gives. Knows no window and no clock.
 
 use escarp_proto::manifest::Manifest;
-use escarp_proto::view::View;
+use escarp_proto::view::{FARTHEST_EYE_M, View};
 use glam::{DVec2, DVec3};
 
 /// Vertical field of view if nothing else is said, radians.
@@ -17,10 +17,10 @@ const NOTCH: f64 = 1.25;
 const PACES: [f64; 2] = [1.0 / 64.0, 64.0];
 /// Factor on the speed while the key for it is held.
 const HURRY: f64 = 4.0;
+/// Nearer to the ground the speed falls no further, metres.
+const LOWEST_M: f64 = 0.1;
 /// Long frames count as this many seconds, so that a stall is not a leap.
 const LONGEST_STEP_S: f64 = 0.1;
-/// No step ends farther from the world's origin, metres.
-const FARTHEST_M: f64 = 1e10;
 /// An overview looks down by this angle, radians.
 const OVERVIEW_PITCH: f64 = -36.0 * std::f64::consts::PI / 180.0;
 /// Share of the picture, from its middle to its edge, that an overview fills.
@@ -80,9 +80,13 @@ impl FlyCamera {
     }
 
     /// Goes, at once, to `eye` and looks at `look`, metres.
+    /// What is no place, it stays away from.
     pub fn jump(&mut self, eye: [f64; 3], look: [f64; 3]) {
         let way = DVec3::from(look) - DVec3::from(eye);
-        self.eye_m = eye.into();
+        if !way.is_finite() {
+            return;
+        }
+        self.eye_m = allowed(eye.into());
         self.velocity_m_s = DVec3::ZERO;
         if way.truncate() != DVec2::ZERO {
             self.yaw = way.x.atan2(way.y);
@@ -101,6 +105,9 @@ impl FlyCamera {
 
     /// Turns right and up by these angles, radians.
     pub fn turn(&mut self, right: f64, up: f64) {
+        if !(right.is_finite() && up.is_finite()) {
+            return;
+        }
         self.yaw = (self.yaw + right).rem_euclid(std::f64::consts::TAU);
         self.pitch = (self.pitch + up).clamp(-STEEPEST, STEEPEST);
     }
@@ -114,17 +121,24 @@ impl FlyCamera {
 
     /// Makes the pace faster, or slower, by notches of a wheel.
     pub fn change_pace(&mut self, notches: f64) {
-        self.pace = (self.pace * NOTCH.powf(notches)).clamp(PACES[0], PACES[1]);
+        let factor = NOTCH.powf(notches);
+        if !factor.is_nan() {
+            self.pace = (self.pace * factor).clamp(PACES[0], PACES[1]);
+        }
     }
 
     /// Speed of full controls at this height above the ground, metres a second.
     pub fn speed_m_s(&self, above_ground_m: f64) -> f64 {
-        above_ground_m.max(0.1) * HEIGHTS_A_SECOND * self.pace
+        above_ground_m.clamp(LOWEST_M, FARTHEST_EYE_M).max(LOWEST_M) * HEIGHTS_A_SECOND * self.pace
     }
 
     /// Flies for `dt_s` seconds.
     pub fn step(&mut self, controls: &Controls, above_ground_m: f64, dt_s: f64) {
-        let dt = dt_s.clamp(0.0, LONGEST_STEP_S);
+        let dt = if dt_s > 0.0 {
+            dt_s.min(LONGEST_STEP_S)
+        } else {
+            0.0
+        };
         let speed = self.speed_m_s(above_ground_m) * if controls.hurry { HURRY } else { 1.0 };
         let right = DVec3::new(self.yaw.cos(), -self.yaw.sin(), 0.0);
         let way =
@@ -134,13 +148,12 @@ impl FlyCamera {
         if way == DVec3::ZERO && self.velocity_m_s.length() < speed * 1e-3 {
             self.velocity_m_s = DVec3::ZERO;
         }
-        let farthest = DVec3::splat(FARTHEST_M);
-        self.eye_m = (self.eye_m + self.velocity_m_s * dt).clamp(-farthest, farthest);
+        self.eye_m = allowed(self.eye_m + self.velocity_m_s * dt);
     }
 
     /// Rises to at least this height, metres, if it is below.
     pub fn stay_above(&mut self, least_z_m: f64) {
-        self.eye_m.z = self.eye_m.z.max(least_z_m);
+        self.eye_m.z = self.eye_m.z.max(least_z_m).min(FARTHEST_EYE_M);
     }
 
     /// Whether it moves by itself.
@@ -159,6 +172,12 @@ impl FlyCamera {
             max_screen_error_px,
         }
     }
+}
+
+/// The nearest place where an eye may be.
+fn allowed(eye_m: DVec3) -> DVec3 {
+    let farthest = DVec3::splat(FARTHEST_EYE_M);
+    eye_m.clamp(-farthest, farthest)
 }
 
 /// The view from `eye` to `look`, metres; north, if they are the same place.
@@ -205,7 +224,8 @@ pub fn overview(manifest: &Manifest, fov_y: f64, aspect: f64) -> ([f64; 3], [f64
         let high = slopes.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         look += up * (back * (low + high) / 2.0);
     }
-    ((look - forward * back).into(), look.into())
+    // Data that reaches as far out as it may is not seen as a whole.
+    (allowed(look - forward * back).into(), look.into())
 }
 
 fn corners(extent: [[f64; 2]; 3]) -> [DVec3; 8] {

@@ -16,6 +16,8 @@ use thiserror::Error;
 pub const MAX_KEYS: usize = 10_000;
 /// Longest path, seconds.
 pub const MAX_DURATION_S: f64 = 86_400.0;
+/// Least time from one key to the next, seconds.
+pub const LEAST_TIME_S: f64 = 1e-3;
 /// Most pictures of a flight.
 pub const MAX_FRAMES: f64 = 1e6;
 /// Longest side of a picture, pixels.
@@ -122,8 +124,8 @@ impl Path {
         for (i, key) in self.keys.iter().enumerate() {
             within(&format!("keys[{i}].t"), key.t, [least, MAX_DURATION_S])?;
             key.check(i)?;
-            // The next key must be later than this one, by however little.
-            least = key.t.next_up();
+            // Speeds are differences of places over those of times, and must be numbers.
+            least = key.t + LEAST_TIME_S;
         }
         within(
             "number of frames",
@@ -308,7 +310,8 @@ pub fn default_path(manifest: &Manifest) -> Path {
 }
 
 fn key(t: f64, eye: DVec3, look: DVec3) -> Key {
-    let (eye, look) = (eye.into(), look.into());
+    let farthest = DVec3::splat(FARTHEST_EYE_M);
+    let [eye, look] = [eye, look].map(|place| place.clamp(-farthest, farthest).into());
     Key { t, eye, look }
 }
 

@@ -2,6 +2,12 @@
 
 pub mod mesh;
 
+pub mod governor;
+
+pub mod stages;
+
+mod lost;
+
 pub mod terrain;
 
 pub mod link;

@@ -1,10 +1,12 @@
 //! A terrain behind a connection: what the programs of the client drive.
 
 use crate::app::{StepStats, TerrainClient, Waker};
+use crate::governor::{Budgets, Governor, Load};
 use crate::link::{Event, Link, LinkConfig, LinkState};
-use crate::mesh::PageMesh;
+use crate::mesh::{MeshOptions, Metric, PageMesh};
 use crate::net::{Connection, Url};
-use crate::terrain::{Terrain, TerrainStep};
+use crate::stages::Stages;
+use crate::terrain::{DEFAULT_MEMORY_BYTES, Terrain, TerrainStep};
 use escarp_proto::geometry::PageId;
 use escarp_proto::manifest::Manifest;
 use escarp_proto::view::View;
@@ -26,17 +28,59 @@ fn in_words(reason: MissReason) -> &'static str {
     }
 }
 
+/// How a client works.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ClientOptions {
+    /// Most memory for resident pages, bytes.
+    pub memory_cap_bytes: usize,
+    /// How it meshes.
+    pub mesh: MeshOptions,
+    /// Most milliseconds a frame of updating, triangulating and uploading: the tolerance follows.
+    pub max_ms: Option<f64>,
+    /// How long a step may take. Pages for which there is no time wait for the next one; at least
+    /// one is linked in each.
+    pub frame_budget: Option<Duration>,
+}
+
+impl Default for ClientOptions {
+    fn default() -> ClientOptions {
+        ClientOptions {
+            memory_cap_bytes: DEFAULT_MEMORY_BYTES,
+            mesh: MeshOptions::default(),
+            max_ms: None,
+            frame_budget: None,
+        }
+    }
+}
+
+impl ClientOptions {
+    /// The governor of those budgets that a mesher does not keep by itself.
+    fn governor(&self) -> Governor {
+        Governor::new(Budgets {
+            max_triangles: self.mesh.max_triangles.map(u64::from),
+            max_ms: self.max_ms,
+        })
+    }
+}
+
 /// A terrain on a server.
 pub struct RemoteTerrain {
     link: Link,
     connection: Connection,
     terrain: Option<Terrain>,
-    memory_cap_bytes: usize,
+    options: ClientOptions,
+    governor: Governor,
     waker: SharedWaker,
     now: Duration,
     refused: Option<String>,
     last_step: TerrainStep,
-    /// Pages that were lost since the last session began, and why the first few were.
+    /// What uploading the last mesh took, milliseconds.
+    upload_ms: f32,
+    /// What had to be changed of the last view.
+    notes: Vec<String>,
+    /// Pages that were refused, and that are lost, since the last session began, and why the
+    /// first few were.
+    refusals: u64,
     lost: u64,
     reasons: Vec<String>,
 }
@@ -44,6 +88,15 @@ pub struct RemoteTerrain {
 impl RemoteTerrain {
     /// Begins to connect. Nothing blocks.
     pub fn open(url: Url, memory_cap_bytes: usize) -> RemoteTerrain {
+        let options = ClientOptions {
+            memory_cap_bytes,
+            ..ClientOptions::default()
+        };
+        RemoteTerrain::with_options(url, options)
+    }
+
+    /// As [`open`](Self::open), with all that can be said.
+    pub fn with_options(url: Url, options: ClientOptions) -> RemoteTerrain {
         let waker = SharedWaker::default();
         let shared = waker.clone();
         let wake = move || {
@@ -55,11 +108,15 @@ impl RemoteTerrain {
             link: Link::new(LinkConfig::new(url.dataset().unwrap_or(""))),
             connection: Connection::with_waker(url, Box::new(wake)),
             terrain: None,
-            memory_cap_bytes,
+            governor: options.governor(),
+            options,
             waker,
             now: Duration::ZERO,
             refused: None,
             last_step: TerrainStep::default(),
+            upload_ms: 0.0,
+            notes: Vec::new(),
+            refusals: 0,
             lost: 0,
             reasons: Vec::new(),
         }
@@ -72,12 +129,17 @@ impl RemoteTerrain {
         self.refused.clone().or_else(|| trouble.map(str::to_owned))
     }
 
-    /// Whether all that can be had for the last view is here.
+    /// Whether all that can be had for the last view is here, and the tolerance stands.
     pub fn is_settled(&self) -> bool {
-        let in_flight = self.link.stats().in_flight_pages;
-        self.terrain
-            .as_ref()
-            .is_some_and(|terrain| terrain.wants().is_empty() && in_flight == 0)
+        !self.awaits_pages() && self.governor.is_steady()
+    }
+
+    /// Whether anything is still to come for the last view.
+    pub fn awaits_pages(&self) -> bool {
+        let link = self.link.stats();
+        let under_way = link.in_flight_pages + link.waiting_events > 0;
+        let terrain = self.terrain.as_ref();
+        under_way || terrain.is_none_or(|t| !t.wants().is_empty() || t.waiting() > 0)
     }
 
     /// Whether there is a session now.
@@ -85,13 +147,18 @@ impl RemoteTerrain {
         self.link.is_open()
     }
 
-    /// Pages that do not come, or were refused, and why the first few were: a sentence each.
+    /// Pages that do not come, and why the first few do not: a sentence each. Among the reasons
+    /// are those for which pages were refused that came again since.
     pub fn lost_pages(&self) -> (u64, &[String]) {
         (self.lost, &self.reasons)
     }
 
-    fn lose(&mut self, page: PageId, why: &str) {
-        self.lost += 1;
+    /// How often pages were refused in this session. Each is asked for once more.
+    pub fn refusals(&self) -> u64 {
+        self.refusals
+    }
+
+    fn note_reason(&mut self, page: PageId, why: &str) {
         if self.reasons.len() < MOST_REASONS {
             self.reasons.push(format!("page {page}: {why}"));
         }
@@ -107,60 +174,121 @@ impl RemoteTerrain {
         self.link.stats().round_trip_ms
     }
 
+    /// Takes over what happened, as far as the terrain has room for chunks. Those that stay in the
+    /// link hold back the server.
     fn handle_events(&mut self) {
-        while let Some(event) = self.link.poll_event() {
-            match event {
-                Event::Welcome { manifest, changed } => {
-                    self.lost = 0;
-                    self.reasons.clear();
-                    if changed {
-                        self.terrain = Some(Terrain::new(manifest, self.memory_cap_bytes));
-                    } else if let Some(terrain) = &mut self.terrain {
-                        terrain.forget_misses();
-                    }
+        while self.terrain.as_ref().is_none_or(Terrain::has_room)
+            && let Some(event) = self.link.poll_event()
+        {
+            self.handle(event);
+        }
+    }
+
+    fn handle(&mut self, event: Event) {
+        match event {
+            Event::Welcome { manifest, changed } => {
+                (self.refusals, self.lost) = (0, 0);
+                self.reasons.clear();
+                if changed {
+                    let (cap, mesh) = (self.options.memory_cap_bytes, self.options.mesh);
+                    self.terrain = Some(Terrain::new(manifest, cap, mesh));
+                } else if let Some(terrain) = &mut self.terrain {
+                    terrain.forget_misses();
                 }
-                Event::Chunk(chunk) => {
-                    if let Some(terrain) = &mut self.terrain {
-                        terrain.receive(chunk);
-                    }
-                }
-                Event::Miss(miss) => {
-                    let page = PageId::from_key(miss.page);
-                    if let (Some(terrain), Some(page)) = (&mut self.terrain, page) {
-                        terrain.miss(page);
-                        self.lose(page, in_words(miss.reason));
-                    }
-                }
-                Event::Refused {
-                    fatal: true, text, ..
-                } => {
-                    // The link says what the server's text is about.
-                    self.refused = Some(self.link.trouble().map_or(text, str::to_owned));
-                }
-                Event::Refused { .. }
-                | Event::Idle { .. }
-                | Event::GenChange { .. }
-                | Event::Disconnected { .. } => {}
             }
+            Event::Chunk(chunk) => {
+                if let Some(terrain) = &mut self.terrain {
+                    terrain.receive(chunk);
+                }
+            }
+            Event::Miss(miss) => {
+                let page = PageId::from_key(miss.page);
+                if let (Some(terrain), Some(page)) = (&mut self.terrain, page) {
+                    terrain.miss(page);
+                    self.lost += 1;
+                    self.note_reason(page, in_words(miss.reason));
+                }
+            }
+            Event::Refused {
+                fatal: true, text, ..
+            } => {
+                // The link says what the server's text is about.
+                self.refused = Some(self.link.trouble().map_or(text, str::to_owned));
+            }
+            Event::Refused { .. }
+            | Event::Idle { .. }
+            | Event::GenChange { .. }
+            | Event::Disconnected { .. } => {}
         }
     }
 
     /// Updates the terrain for a view that is in order, and tells the link what follows.
     fn update(&mut self, view: &View) {
-        let Some(terrain) = &mut self.terrain else {
-            return;
-        };
         if self.link.set_view(view, self.now).is_err() {
             return;
         }
-        let step = terrain.update(view);
+        let clock = Instant::now();
+        let now = || clock.elapsed();
+        // What the mesh took last time it takes about this time, too.
+        let mesh = Duration::from_secs_f32(self.last_step.times.mesh_ms().max(0.0) / 1e3);
+        let mut stages = Stages::begin(&now, self.options.frame_budget, mesh);
+        let mut step = TerrainStep::default();
+        loop {
+            self.handle_events();
+            let Some(terrain) = &mut self.terrain else {
+                return;
+            };
+            if terrain.waiting() == 0 || !terrain.link_arrived(&mut step, &mut stages) {
+                break;
+            }
+        }
+        if let Some(terrain) = &mut self.terrain {
+            let step = terrain.finish(view, step, &mut stages);
+            self.follow(step);
+        }
+    }
+
+    /// Tells the link, and the user, what a step of the terrain came to.
+    fn follow(&mut self, step: TerrainStep) {
         self.link.evict(&step.dropped);
-        self.link.set_wants(terrain.wants(), self.now);
-        for (page, why) in &step.rejected {
-            self.link.reject(*page);
-            self.lose(*page, &why.to_string());
+        for refusal in &step.refused {
+            match refusal.again {
+                true => self.link.evict(&[refusal.page]),
+                false => self.link.reject(refusal.page),
+            }
+            self.refusals += 1;
+            self.lost += u64::from(!refusal.again);
+            if refusal.again {
+                self.note_reason(refusal.page, &refusal.why.to_string());
+            }
+        }
+        if let Some(terrain) = &self.terrain {
+            self.link.set_wants(terrain.wants(), self.now);
         }
         self.last_step = step;
+    }
+
+    /// Lets the governor know what the step came to.
+    fn observe(&mut self) {
+        let Some(terrain) = &self.terrain else {
+            return;
+        };
+        // Where pictures are not made of each frame, one upload is not that of the next frames.
+        let upload_ms = std::mem::take(&mut self.upload_ms);
+        self.governor.observe(&Load {
+            triangles: self.last_step.triangles,
+            ms: f64::from(self.last_step.times.mesh_ms() + upload_ms),
+            settled: terrain.wants().is_empty() && terrain.waiting() == 0,
+        });
+    }
+
+    /// The view that is in order and keeps to the budgets.
+    fn govern(&mut self, view: &View) -> View {
+        let (mut view, notes) = view.clamped();
+        self.notes.clear();
+        self.notes.extend(notes.iter().map(ToString::to_string));
+        view.max_screen_error_px = self.governor.tolerance_px(view.max_screen_error_px);
+        view
     }
 }
 
@@ -182,23 +310,53 @@ impl TerrainClient for RemoteTerrain {
     fn step(&mut self, view: &View, now: Duration) -> StepStats {
         self.now = now;
         self.connection.drive(&mut self.link, now);
-        self.handle_events();
-        let began = Instant::now();
-        self.update(view);
-        let update_ms = began.elapsed().as_secs_f32() * 1e3;
+        let view = self.govern(view);
+        self.update(&view);
+        self.observe();
         self.connection.drive(&mut self.link, now);
         let link = self.link.stats();
         let terrain = self.terrain.as_ref();
         let excess = terrain.map_or(f64::INFINITY, |_| self.last_step.excess);
+        let mesh = &self.options.mesh;
+        let promises = mesh.mesher.keeps_tolerance() && mesh.metric == Metric::Bounding;
         StepStats {
             triangles: self.last_step.triangles,
             bytes_received: link.received_bytes,
             pages_wanted: terrain.map_or(1, |_| self.last_step.lacking) as u32,
             pages_in_flight: link.in_flight_pages as u32,
             pages_resident: terrain.map_or(0, |terrain| terrain.tree().resident()) as u32,
+            chunks_waiting: (self.last_step.waiting + link.waiting_events) as u32,
             bound_px: excess * f64::from(view.max_screen_error_px),
-            converged: excess <= 1.0,
-            update_ms,
+            tolerance_px: view.max_screen_error_px,
+            converged: match promises {
+                true => excess <= 1.0,
+                false => excess.is_finite() && self.last_step.lacking == 0,
+            },
+            times: self.last_step.times,
+        }
+    }
+
+    fn notes(&self) -> &[String] {
+        &self.notes
+    }
+
+    fn uploaded(&mut self, upload_ms: f32) {
+        self.upload_ms = upload_ms;
+    }
+
+    fn mesh_options(&self) -> MeshOptions {
+        self.options.mesh
+    }
+
+    fn set_mesh_options(&mut self, mesh: MeshOptions) {
+        if self.options.mesh == mesh {
+            return;
+        }
+        self.options.mesh = mesh;
+        self.governor = self.options.governor();
+        if let Some(terrain) = &mut self.terrain {
+            let dropped = terrain.set_options(mesh);
+            self.link.evict(&dropped);
         }
     }
 
@@ -218,9 +376,10 @@ impl TerrainClient for RemoteTerrain {
         } else {
             ""
         };
-        let lost = match self.reasons.first() {
-            Some(first) => format!(", {} pages lost ({first})", self.lost),
-            None => String::new(),
+        let lost = match (self.reasons.first(), self.lost) {
+            (None, _) => String::new(),
+            (Some(first), 0) => format!(", {} pages asked for again ({first})", self.refusals),
+            (Some(first), lost) => format!(", {lost} pages lost ({first})"),
         };
         match self.link.state() {
             LinkState::Waiting { retry_at } => {

@@ -2,19 +2,24 @@
 //!
 //! Chunks wait until the next [`update`](Terrain::update), which is the one sync point: it links
 //! what has arrived, updates the mesh, unlinks what the memory cap does not allow, and
-//! triangulates what changed.
+//! triangulates what changed. With a frame budget, pages for which there is no time wait on, in
+//! the order in which they came.
 
-use crate::mesh::{LinkError, MeshTree, PageMesh, Wish};
+use crate::lost::Lost;
+use crate::mesh::{LinkError, MeshOptions, MeshTree, PageMesh, Wish};
+use crate::stages::{Stage, StageTimes, Stages};
 use escarp_proto::geometry::PageId;
 use escarp_proto::manifest::Manifest;
 use escarp_proto::page::{Page, PageError, RevisionDigest};
 use escarp_proto::view::View;
 use escarp_proto::wire::{Chunk, Want};
-use std::collections::{HashMap, HashSet, VecDeque};
+use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;
 
 /// Memory for resident pages that a client takes if nobody says otherwise, bytes.
 pub const DEFAULT_MEMORY_BYTES: usize = 1 << 30;
+/// Chunks that a terrain takes before it has linked some of them.
+const MOST_WAITING: usize = 64;
 
 /// A dataset's terrain, as far as it is here.
 #[derive(Debug)]
@@ -23,8 +28,8 @@ pub struct Terrain {
     tree: MeshTree,
     memory_cap_bytes: usize,
     arrived: VecDeque<Chunk>,
-    /// Pages that do not come, or do not fit what is above them.
-    missing: HashSet<PageId>,
+    /// Pages that do not come, or do not fit what is known of them.
+    lost: Lost,
     /// Of pages that are not whole yet.
     digests: HashMap<PageId, RevisionDigest>,
     wants: Vec<Want>,
@@ -41,21 +46,37 @@ pub struct TerrainStep {
     pub triangles: u64,
     /// Pages that are no longer here, or came too late to be of use.
     pub dropped: Vec<PageId>,
-    /// Pages whose bytes are wrong, and why. They are not wanted again.
-    pub rejected: Vec<(PageId, LinkError)>,
+    /// Pages that were refused.
+    pub refused: Vec<Refusal>,
     /// The memory cap is reached by pages that are all in use: nothing more is wanted.
     pub memory_full: bool,
+    /// Chunks for which there was no time.
+    pub waiting: usize,
+    /// What the stages took.
+    pub times: StageTimes,
+}
+
+/// A page whose bytes are wrong, or contradict what is known of it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Refusal {
+    /// The page.
+    pub page: PageId,
+    /// What is wrong.
+    pub why: LinkError,
+    /// It is wanted once more, from its first part. If not, it counts as missing.
+    pub again: bool,
 }
 
 impl Terrain {
     /// A terrain of which nothing is here yet.
-    pub fn new(manifest: Arc<Manifest>, memory_cap_bytes: usize) -> Terrain {
+    pub fn new(manifest: Arc<Manifest>, memory_cap_bytes: usize, options: MeshOptions) -> Terrain {
+        let (grid, georef) = (manifest.grid_levels, manifest.georef.clone());
         Terrain {
-            tree: MeshTree::new(manifest.grid_levels, manifest.georef.clone()),
+            tree: MeshTree::with_options(grid, georef, options),
             manifest,
             memory_cap_bytes,
             arrived: VecDeque::new(),
-            missing: HashSet::new(),
+            lost: Lost::default(),
             digests: HashMap::new(),
             wants: Vec::new(),
         }
@@ -71,24 +92,55 @@ impl Terrain {
         &self.tree
     }
 
+    /// Meshes in another way from the next update on, with the pages that are here. Those that
+    /// find no place any more, if any.
+    pub fn set_options(&mut self, options: MeshOptions) -> Vec<PageId> {
+        let (grid, georef) = (self.manifest.grid_levels, self.manifest.georef.clone());
+        let mut tree = MeshTree::with_options(grid, georef, options);
+        let mut pages: Vec<Page> = self.tree.pages().cloned().collect();
+        // Parents first: a page is linked below one that is.
+        pages.sort_by_key(|page| page.id().key());
+        let mut dropped = Vec::new();
+        for page in pages {
+            let id = page.id();
+            if tree.link(page).is_err() {
+                self.digests.remove(&id);
+                dropped.push(id);
+            }
+        }
+        self.tree = tree;
+        dropped
+    }
+
     /// The triangles, by page.
     pub fn meshes(&self) -> impl Iterator<Item = &PageMesh> {
         self.tree.meshes()
     }
 
-    /// Takes a chunk; it is linked in the next update.
+    /// Takes a chunk; it is linked in one of the next updates.
     pub fn receive(&mut self, chunk: Chunk) {
         self.arrived.push_back(chunk);
     }
 
+    /// Whether so few chunks wait that more can be taken. A caller that leaves them where they are
+    /// holds back the sender.
+    pub fn has_room(&self) -> bool {
+        self.arrived.len() < MOST_WAITING
+    }
+
+    /// Chunks that wait to be linked.
+    pub fn waiting(&self) -> usize {
+        self.arrived.len()
+    }
+
     /// Notes that a page does not come. The mesh goes on without it.
     pub fn miss(&mut self, page: PageId) {
-        self.missing.insert(page);
+        self.lost.miss(page);
     }
 
     /// Forgets which pages did not come, so that they are wanted again.
     pub fn forget_misses(&mut self) {
-        self.missing.clear();
+        self.lost = Lost::default();
     }
 
     /// What the mesh lacks, most urgent first, as of the last update.
@@ -96,54 +148,102 @@ impl Terrain {
         &self.wants
     }
 
-    /// Brings the mesh up to date for a view, which must be checked.
+    /// Brings the mesh up to date for a view, which must be checked, with all that has arrived.
     pub fn update(&mut self, view: &View) -> TerrainStep {
-        let mut step = TerrainStep::default();
-        while let Some(chunk) = self.arrived.pop_front() {
-            self.link(&chunk, &mut step);
+        let (mut step, mut stages) = (TerrainStep::default(), Stages::untimed());
+        self.link_arrived(&mut step, &mut stages);
+        self.finish(view, step, &mut stages)
+    }
+
+    /// Links what has arrived, as far as there is time. Whether none is left.
+    pub fn link_arrived(&mut self, step: &mut TerrainStep, stages: &mut Stages<'_>) -> bool {
+        while !self.arrived.is_empty() && stages.begin_page() {
+            if let Some(chunk) = self.arrived.pop_front() {
+                self.link(&chunk, step, stages);
+            }
         }
-        step.excess = self.tree.update(view).excess;
-        step.dropped.extend(self.tree.evict(self.memory_cap_bytes));
+        self.arrived.is_empty()
+    }
+
+    /// Brings the mesh up to date for a view, which must be checked, with the pages that are
+    /// linked; `step` is what linking them came to.
+    pub fn finish(
+        &mut self,
+        view: &View,
+        mut step: TerrainStep,
+        stages: &mut Stages<'_>,
+    ) -> TerrainStep {
+        step.excess = stages.time(Stage::Update, || self.tree.update(view)).excess;
+        let evicted = stages.time(Stage::Link, || self.tree.evict(self.memory_cap_bytes));
+        step.dropped.extend(evicted);
         for page in &step.dropped {
             self.digests.remove(page);
         }
         step.memory_full = self.tree.memory_bytes() > self.memory_cap_bytes;
-        let wishes = self.tree.wishes();
-        step.lacking = wishes.len();
-        self.wants.clear();
-        if !step.memory_full {
-            let open = wishes
-                .iter()
-                .filter(|wish| !self.missing.contains(&wish.page));
-            self.wants.extend(open.map(Wish::to_want));
-        }
-        step.triangles = self.tree.triangulate();
+        step.lacking = stages.time(Stage::Update, || self.collect_wants(step.memory_full));
+        step.triangles = stages.time(Stage::Triangulate, || self.tree.triangulate());
+        step.waiting = self.arrived.len();
+        step.times = stages.times();
         step
     }
 
-    fn link(&mut self, chunk: &Chunk, step: &mut TerrainStep) {
+    /// Takes over what the mesh lacks; how many pages that is.
+    fn collect_wants(&mut self, memory_full: bool) -> usize {
+        let wishes = self.tree.wishes();
+        let open = |wish: &&Wish| !memory_full && !self.lost.is_missing(wish.page);
+        let wants = wishes.iter().filter(open).map(|wish| self.to_want(wish));
+        self.wants = wants.collect();
+        wishes.len()
+    }
+
+    /// Of a page some part of which was refused all are wanted, as nobody knows which is wrong.
+    fn to_want(&self, wish: &Wish) -> Want {
+        let mut want = wish.to_want();
+        if !self.digests.contains_key(&wish.page) {
+            want.first_part = 0;
+        }
+        want
+    }
+
+    fn link(&mut self, chunk: &Chunk, step: &mut TerrainStep, stages: &mut Stages<'_>) {
         let Some(id) =
             PageId::from_key(chunk.page).filter(|&id| self.manifest.grid_levels.holds(id))
         else {
             return;
         };
-        match self.decode(id, chunk).and_then(|page| self.tree.link(page)) {
+        if chunk.first_part == 0 && self.is_in_order(id) {
+            return;
+        }
+        let page = stages.time(Stage::Decode, || self.decode(id, chunk));
+        let linked = page.and_then(|page| stages.time(Stage::Link, || self.tree.link(page)));
+        match linked {
             Ok(()) => {}
             Err(LinkError::Orphan(_)) => step.dropped.push(id),
-            Err(error) => {
-                self.missing.insert(id);
-                step.rejected.push((id, error));
+            Err(why) => {
+                // What else of it is waiting does not fit any more.
+                self.arrived.retain(|other| other.page != chunk.page);
+                self.digests.remove(&id);
+                let again = self.lost.refuse(id);
+                let page = id;
+                step.refused.push(Refusal { page, why, again });
             }
         }
+    }
+
+    /// Whether a page is here, and nothing of it was refused: its first part is of no use.
+    fn is_in_order(&self, id: PageId) -> bool {
+        let is_whole = |page: &Page| page.parts() == page.last_part();
+        self.tree
+            .page(id)
+            .is_some_and(|page| is_whole(page) || self.digests.contains_key(&id))
     }
 
     /// The page that results from a chunk: new, or with more parts than before. A page that is
     /// whole is held against its revision.
     fn decode(&mut self, id: PageId, chunk: &Chunk) -> Result<Page, LinkError> {
         let page = self.join(id, chunk)?;
-        let new = || RevisionDigest::new(id);
         let digest = match chunk.first_part {
-            0 => Some(new()),
+            0 => Some(RevisionDigest::new(id)),
             // Parts that no digest is kept of are parts of a page that was dropped meanwhile.
             _ => self.digests.remove(&id),
         };
@@ -163,13 +263,15 @@ impl Terrain {
 
     fn join(&self, id: PageId, chunk: &Chunk) -> Result<Page, LinkError> {
         let finest = self.manifest.grid_levels.is_finest(id);
+        let resident = self.tree.page(id);
         if chunk.first_part == 0 {
-            return Ok(Page::decode(id, finest, chunk.last_part, &chunk.bytes)?);
+            let page = Page::decode(id, finest, chunk.last_part, &chunk.bytes)?;
+            return match resident.is_some_and(|resident| resident.parts() >= page.parts()) {
+                true => Err(LinkError::Repeated(id)),
+                false => Ok(page),
+            };
         }
-        let resident = self
-            .tree
-            .page(id)
-            .filter(|page| page.parts() + 1 == chunk.first_part);
+        let resident = resident.filter(|page| page.parts() + 1 == chunk.first_part);
         let mut page = resident.ok_or(LinkError::Orphan(id))?.clone();
         page.extend(chunk.last_part, &chunk.bytes)?;
         Ok(page)

@@ -20,3 +20,5 @@ pub mod drive;
 pub mod liar;
 
 pub mod programs;
+
+pub mod report;

@@ -78,6 +78,7 @@ fn draw(driver: &mut Driver, view: View) -> RgbaImage {
     painter
         .paint(&driver.client, view, false)
         .expect("a picture")
+        .image
 }
 
 fn stored() -> PathBuf {

@@ -84,8 +84,9 @@ impl TerrainClient for FakeTerrain {
             } else {
                 f64::from(view.max_screen_error_px) * 0.8
             },
+            tolerance_px: view.max_screen_error_px,
             converged: missing == 0,
-            update_ms: 0.0,
+            ..StepStats::default()
         }
     }
 

@@ -4,6 +4,7 @@ use super::{StepStats, TerrainClient};
 use crate::flight::Path as Flight;
 use crate::remote::RemoteTerrain;
 use crate::render::{DrawParams, Gpu, Headless, Scene};
+use crate::stages::StageTimes;
 use anyhow::{Context, Result, bail};
 use escarp_proto::manifest::Manifest;
 use escarp_proto::view::View;
@@ -86,12 +87,11 @@ impl Driver {
         }
     }
 
-    /// Steps until all that can be had for a view is here, or time is up.
+    /// Steps until all that can be had for a view is here and the tolerance stands, or time is up.
     ///
     /// # Errors
     /// If the server refuses for good.
     pub fn settle(&mut self, view: &View, wait: Duration) -> Result<StepStats> {
-        view.check()?;
         let until = self.now().saturating_add(wait);
         loop {
             let stats = self.step(view);
@@ -101,7 +101,10 @@ impl Driver {
             if self.client.is_settled() || self.now() > until {
                 return Ok(stats);
             }
-            self.nap(NAP);
+            // With budgets, the tolerance goes on to move when all pages are here.
+            if self.client.awaits_pages() {
+                self.nap(NAP);
+            }
         }
     }
 
@@ -115,6 +118,16 @@ impl Driver {
 pub struct Painter {
     scene: Scene,
     target: Headless,
+}
+
+/// A picture, and what it took.
+pub struct Painted {
+    /// The picture.
+    pub image: RgbaImage,
+    /// Bringing the GPU up to date, milliseconds.
+    pub upload_ms: f32,
+    /// Drawing and reading back, milliseconds.
+    pub draw_ms: f32,
 }
 
 impl Painter {
@@ -143,15 +156,23 @@ impl Painter {
         client: &impl TerrainClient,
         view: View,
         wireframe: bool,
-    ) -> Result<RgbaImage> {
+    ) -> Result<Painted> {
+        let began = Instant::now();
         let mut sync = self.scene.begin_sync();
         client.visit_pages(&mut |mesh| sync.keep(mesh));
         sync.end();
+        let uploaded = began.elapsed();
         let params = DrawParams {
             wireframe,
             ..DrawParams::new(view)
         };
-        Ok(self.target.render(&mut self.scene, &params)?.0)
+        let (image, _) = self.target.render(&mut self.scene, &params)?;
+        let ms = |time: Duration| time.as_secs_f32() * 1e3;
+        Ok(Painted {
+            image,
+            upload_ms: ms(uploaded),
+            draw_ms: ms(began.elapsed() - uploaded),
+        })
     }
 }
 
@@ -172,15 +193,48 @@ pub struct FrameReport {
     pub pages_in_flight: u32,
     /// Pages here.
     pub pages_resident: u32,
+    /// Chunks here for which there was no time yet.
+    pub chunks_waiting: u32,
     /// Error bound of the frame, pixels; `null` while there is none.
     pub bound_px: Option<f64>,
+    /// Tolerance of the frame, pixels: the path's, or more where a budget is kept.
+    pub tolerance_px: f32,
     /// Whether there was a session with the server.
     pub connected: bool,
-    /// Updating and triangulating, milliseconds.
-    pub update_ms: f32,
+    /// What the stages took, milliseconds: `decode_ms`, `link_ms`, `update_ms`, `triangulate_ms`.
+    #[serde(flatten)]
+    pub times: StageTimes,
+    /// Bringing the GPU up to date, milliseconds; absent where no picture is made.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub upload_ms: Option<f32>,
     /// Drawing and reading back, milliseconds; absent where no picture is made.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub draw_ms: Option<f64>,
+    pub draw_ms: Option<f32>,
+    /// What had to be changed of the view; absent if nothing.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub notes: Vec<String>,
+}
+
+impl FrameReport {
+    fn new(time_s: f64, eye_m: [f64; 3], stats: &StepStats, client: &RemoteTerrain) -> FrameReport {
+        FrameReport {
+            time_s,
+            eye_m,
+            triangles: stats.triangles,
+            bytes: stats.bytes_received,
+            pages_wanted: stats.pages_wanted,
+            pages_in_flight: stats.pages_in_flight,
+            pages_resident: stats.pages_resident,
+            chunks_waiting: stats.chunks_waiting,
+            bound_px: stats.bound_px.is_finite().then_some(stats.bound_px),
+            tolerance_px: stats.tolerance_px,
+            connected: client.is_connected(),
+            times: stats.times,
+            upload_ms: None,
+            draw_ms: None,
+            notes: client.notes().to_vec(),
+        }
+    }
 }
 
 /// How a flight is flown.
@@ -232,27 +286,19 @@ pub fn fly(
         if let Some(failure) = driver.client.failure() {
             bail!(failure);
         }
-        let mut report = FrameReport {
-            time_s,
-            eye_m: view.eye_m,
-            triangles: stats.triangles,
-            bytes: stats.bytes_received,
-            pages_wanted: stats.pages_wanted,
-            pages_in_flight: stats.pages_in_flight,
-            pages_resident: stats.pages_resident,
-            bound_px: stats.bound_px.is_finite().then_some(stats.bound_px),
-            connected: driver.client.is_connected(),
-            update_ms: stats.update_ms,
-            draw_ms: None,
-        };
+        let mut report = FrameReport::new(time_s, view.eye_m, &stats, &driver.client);
         let last = frame + 1 == flight.frames();
         if let (Some(painter), Some(folder)) = (&mut painter, &options.pictures)
             && (frame.is_multiple_of(options.every) || last)
         {
-            let started = Instant::now();
-            let image = painter.paint(&driver.client, view, options.wireframe)?;
-            report.draw_ms = Some(started.elapsed().as_secs_f64() * 1e3);
-            save(&image, &folder.join(format!("frame-{frame:05}.png")))?;
+            let (view, _) = view.clamped();
+            let painted = painter.paint(&driver.client, view, options.wireframe)?;
+            driver.client.uploaded(painted.upload_ms);
+            (report.upload_ms, report.draw_ms) = (Some(painted.upload_ms), Some(painted.draw_ms));
+            save(
+                &painted.image,
+                &folder.join(format!("frame-{frame:05}.png")),
+            )?;
         }
         serde_json::to_writer(&mut *out, &report)?;
         writeln!(out)?;

@@ -6,7 +6,8 @@ mod ground;
 pub mod headless;
 pub mod viewer;
 
-use crate::mesh::PageMesh;
+use crate::mesh::{MeshOptions, PageMesh};
+use crate::stages::StageTimes;
 use escarp_proto::manifest::Manifest;
 use escarp_proto::view::View;
 use std::sync::Arc;
@@ -32,6 +33,22 @@ pub trait TerrainClient {
     /// Shows every page with triangles, each once, in any order.
     fn visit_pages(&self, visit: &mut dyn FnMut(&PageMesh));
 
+    /// What had to be changed of the last view, for people; usually nothing.
+    fn notes(&self) -> &[String] {
+        &[]
+    }
+
+    /// Takes note of what uploading the mesh took, milliseconds.
+    fn uploaded(&mut self, _upload_ms: f32) {}
+
+    /// How it meshes.
+    fn mesh_options(&self) -> MeshOptions {
+        MeshOptions::default()
+    }
+
+    /// Meshes in another way from the next step on.
+    fn set_mesh_options(&mut self, _options: MeshOptions) {}
+
     /// State of the connection, for people: `connected`, `reconnecting in 3 s`.
     fn status(&self) -> String;
 
@@ -53,12 +70,16 @@ pub struct StepStats {
     pub pages_in_flight: u32,
     /// Pages that are here.
     pub pages_resident: u32,
+    /// Chunks that have arrived, and for which there was no time.
+    pub chunks_waiting: u32,
     /// How far, on the screen, the mesh may be from the data, pixels; infinite if nobody knows.
     pub bound_px: f64,
-    /// Whether the mesh is all that the view asks for.
+    /// The tolerance that was used, pixels: more than the view's where a budget is kept.
+    pub tolerance_px: f32,
+    /// Whether the mesh is all that the tolerance asks for.
     pub converged: bool,
-    /// What the step took, milliseconds.
-    pub update_ms: f32,
+    /// What the stages of the step took.
+    pub times: StageTimes,
 }
 
 impl Default for StepStats {
@@ -70,9 +91,11 @@ impl Default for StepStats {
             pages_wanted: 0,
             pages_in_flight: 0,
             pages_resident: 0,
+            chunks_waiting: 0,
             bound_px: f64::INFINITY,
+            tolerance_px: 0.0,
             converged: false,
-            update_ms: 0.0,
+            times: StageTimes::default(),
         }
     }
 }

@@ -1,12 +1,17 @@
 //! Arguments that the commands share, and how they are read.
 
 use crate::camera::overview;
+use crate::governor::{TIME_BUDGETS_MS, TRIANGLE_BUDGETS};
+use crate::mesh::{MeshOptions, MesherKind, Metric};
 use crate::net::Url;
-use crate::remote::RemoteTerrain;
+use crate::remote::{ClientOptions, RemoteTerrain};
+use anyhow::{Result, bail};
 use clap::Args;
+use clap::builder::{PossibleValuesParser, TypedValueParser};
 use escarp_proto::manifest::Manifest;
-use escarp_proto::view::SCREEN_ERRORS_PX;
+use escarp_proto::view::{FARTHEST_EYE_M, SCREEN_ERRORS_PX};
 use std::str::FromStr;
+use std::time::Duration;
 
 /// Vertical field of view, radians.
 pub(super) const FOV_Y: f64 = std::f64::consts::FRAC_PI_3;
@@ -26,10 +31,12 @@ impl FromStr for Position {
             .map(|part| part.trim().parse().map_err(|_| wrong()))
             .collect::<Result<_, _>>()?;
         let position: [f64; 3] = numbers.try_into().map_err(|_| wrong())?;
-        if position.iter().all(|v| v.is_finite()) {
-            Ok(Position(position))
-        } else {
-            Err(wrong())
+        let is_allowed = |v: &&f64| v.abs() <= FARTHEST_EYE_M;
+        match position.iter().find(|v| !is_allowed(v)) {
+            None => Ok(Position(position)),
+            Some(found) => Err(format!(
+                "a coordinate of {found:e} m, allowed are -{FARTHEST_EYE_M:e} to {FARTHEST_EYE_M:e} m"
+            )),
         }
     }
 }
@@ -64,6 +71,37 @@ pub(super) fn error_px(text: &str) -> Result<f32, String> {
     }
 }
 
+fn ms_within(text: &str, [least, most]: [f64; 2]) -> Result<f64, String> {
+    let value: f64 = text.parse().map_err(|_| format!("{text:?} is no number"))?;
+    match (least..=most).contains(&value) {
+        true => Ok(value),
+        false => Err(format!("{value} ms, allowed are {least} to {most}")),
+    }
+}
+
+fn max_ms(text: &str) -> Result<f64, String> {
+    ms_within(text, TIME_BUDGETS_MS)
+}
+
+/// Allowed times for a frame's work, milliseconds.
+const FRAME_BUDGETS_MS: [f64; 2] = [0.1, 10_000.0];
+
+/// Time for a frame's work.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct FrameBudget(pub(super) Option<Duration>);
+
+impl FromStr for FrameBudget {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        if text == "none" {
+            return Ok(FrameBudget(None));
+        }
+        let ms = ms_within(text, FRAME_BUDGETS_MS).map_err(|why| format!("{why}; or none"))?;
+        Ok(FrameBudget(Some(Duration::from_secs_f64(ms / 1e3))))
+    }
+}
+
 /// Where to connect to.
 #[derive(Debug, Clone, Args)]
 pub(super) struct ServerArgs {
@@ -76,8 +114,73 @@ pub(super) struct ServerArgs {
 }
 
 impl ServerArgs {
-    pub(super) fn open(&self) -> RemoteTerrain {
-        RemoteTerrain::open(self.url.clone(), (self.memory_mb as usize) << 20)
+    /// Begins to connect.
+    ///
+    /// # Errors
+    /// If what is said of the mesh does not go together.
+    pub(super) fn open(&self, mesh: &MeshArgs, budget: FrameBudget) -> Result<RemoteTerrain> {
+        let options = ClientOptions {
+            memory_cap_bytes: (self.memory_mb as usize).saturating_mul(1 << 20),
+            mesh: mesh.options()?,
+            max_ms: mesh.max_ms,
+            frame_budget: budget.0,
+        };
+        Ok(RemoteTerrain::with_options(self.url.clone(), options))
+    }
+}
+
+/// How to mesh, and what that may cost.
+#[derive(Debug, Clone, Args)]
+pub(super) struct MeshArgs {
+    /// What decides which triangles are drawn
+    #[arg(long, default_value_t, value_parser = meshers())]
+    mesher: MesherKind,
+    /// What counts as a triangle's error: a bound that holds, or the distance of one vertex
+    #[arg(long, default_value_t, value_parser = metrics())]
+    metric: Metric,
+    /// Ratio of distance to size within which distance and levels split; default: by the tolerance
+    #[arg(long, value_name = "R")]
+    split_ratio: Option<f64>,
+    /// Level of all blocks of levels; default: by distance
+    #[arg(long, value_name = "L")]
+    level: Option<u8>,
+    /// Most triangles: where there would be more, the tolerance is widened
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(TRIANGLE_BUDGETS[0] as i64..))]
+    max_triangles: Option<u32>,
+    /// Most milliseconds a frame of updating, triangulating and uploading the mesh: where it would
+    /// take longer, the tolerance is widened
+    #[arg(long, value_name = "T", value_parser = max_ms)]
+    max_ms: Option<f64>,
+}
+
+fn meshers() -> impl TypedValueParser<Value = MesherKind> {
+    let names = MesherKind::ALL.iter().map(|kind| kind.name());
+    PossibleValuesParser::new(names).try_map(|name| name.parse())
+}
+
+fn metrics() -> impl TypedValueParser<Value = Metric> {
+    PossibleValuesParser::new(["bounding", "local"]).try_map(|name| name.parse())
+}
+
+impl MeshArgs {
+    fn options(&self) -> Result<MeshOptions> {
+        let options = MeshOptions {
+            mesher: self.mesher,
+            metric: self.metric,
+            max_triangles: self.max_triangles,
+            split_ratio: self.split_ratio,
+            level: self.level,
+        };
+        options.check()?;
+        let budget = self.max_triangles.is_some() || self.max_ms.is_some();
+        let fixed = self.split_ratio.is_some() || self.level.is_some();
+        if budget && fixed && !self.mesher.keeps_tolerance() {
+            bail!(
+                "--max-triangles and --max-ms widen the tolerance, which is of no effect where \
+                 --split-ratio or --level is given"
+            );
+        }
+        Ok(options)
     }
 }
 
@@ -126,11 +229,64 @@ mod tests {
     fn positions_and_sizes_are_read_or_refused_with_the_right_form() {
         assert_eq!("1,-2.5, 3e3".parse(), Ok(Position([1.0, -2.5, 3000.0])));
         assert!("1,2".parse::<Position>().unwrap_err().contains("X,Y,Z"));
-        assert!("1,2,NaN".parse::<Position>().is_err());
+        for wrong in ["1,2,NaN", "inf,0,0", "0,1.1e12,0", "0,0,-1e300"] {
+            let refusal = wrong.parse::<Position>().unwrap_err();
+            assert!(refusal.contains("1e12"), "{refusal}");
+        }
+        assert!("1e12,-1e12,-0".parse::<Position>().is_ok());
         assert_eq!("640x480".parse(), Ok(Size([640, 480])));
         assert!("640".parse::<Size>().unwrap_err().contains("WxH"));
         assert!("0x480".parse::<Size>().is_err());
         assert!(error_px("0").unwrap_err().contains("allowed"));
         assert_eq!(error_px("1.5"), Ok(1.5));
+    }
+
+    #[test]
+    fn options_of_the_mesh_that_do_not_go_together_are_refused() {
+        #[derive(clap::Parser)]
+        struct Only {
+            #[command(flatten)]
+            mesh: MeshArgs,
+        }
+        let parse = |line: &str| {
+            let words = std::iter::once("mesh").chain(line.split_whitespace());
+            let only = <Only as clap::Parser>::try_parse_from(words);
+            only.map_err(|error| error.to_string())
+                .and_then(|only| only.mesh.options().map_err(|error| error.to_string()))
+        };
+        assert_eq!(parse(""), Ok(MeshOptions::default()));
+        for kind in MesherKind::ALL {
+            let options = parse(&format!("--mesher {kind} --metric local")).unwrap();
+            assert_eq!((options.mesher, options.metric), (*kind, Metric::Local));
+        }
+        let refusal = |line: &str| parse(line).unwrap_err();
+        assert!(refusal("--mesher fans").contains("quadtree"));
+        assert!(refusal("--metric far").contains("bounding"));
+        assert!(refusal("--max-triangles 0").contains("16"));
+        assert!(refusal("--max-ms NaN").contains("allowed"));
+        assert!(refusal("--split-ratio NaN").contains("allowed"));
+        assert!(refusal("--split-ratio inf").contains("allowed"));
+        assert!(refusal("--level 9").contains("allowed"));
+        assert!(refusal("--mesher levels --level 2 --max-triangles 5000").contains("--level"));
+    }
+
+    #[test]
+    fn budgets_that_make_no_sense_are_refused_with_what_is_allowed() {
+        for wrong in [
+            "NaN", "inf", "-inf", "0", "-0", "1e-320", "-5", "1e300", "fast",
+        ] {
+            for refusal in [
+                error_px(wrong).unwrap_err(),
+                max_ms(wrong).unwrap_err(),
+                wrong.parse::<FrameBudget>().unwrap_err(),
+            ] {
+                let says = refusal.contains("allowed") || refusal.contains("no number");
+                assert!(says, "{wrong}: {refusal}");
+            }
+        }
+        assert_eq!("none".parse(), Ok(FrameBudget(None)));
+        let eight = Duration::from_millis(8);
+        assert_eq!("8".parse(), Ok(FrameBudget(Some(eight))));
+        assert_eq!(max_ms("2.5"), Ok(2.5));
     }
 }

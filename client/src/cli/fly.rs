@@ -1,8 +1,9 @@
 //! `escarp-client fly`.
 
-use super::arguments::ServerArgs;
+use super::arguments::{FrameBudget, MeshArgs, ServerArgs};
 use crate::app::headless::{Driver, FlyOptions, FrameReport, fly};
 use crate::flight::{Path as Flight, default_path};
+use crate::stages::StageTimes;
 use anyhow::{Context, Result};
 use clap::Args;
 use std::io::{BufWriter, Write};
@@ -13,6 +14,11 @@ use std::time::Duration;
 pub(super) struct FlyArgs {
     #[command(flatten)]
     server: ServerArgs,
+    #[command(flatten)]
+    mesh: MeshArgs,
+    /// Most milliseconds of a frame's work; pages that arrive faster wait. Or none
+    #[arg(long, default_value = "none", value_name = "MS")]
+    frame_budget_ms: FrameBudget,
     /// Path to fly, JSON; default: from the overview down to a low flight
     #[arg(long, value_name = "FILE.json")]
     path: Option<PathBuf>,
@@ -35,7 +41,7 @@ pub(super) struct FlyArgs {
 
 pub(super) fn run(args: &FlyArgs) -> Result<()> {
     let flight = args.path.as_ref().map(read_path).transpose()?;
-    let mut driver = Driver::new(args.server.open());
+    let mut driver = Driver::new(args.server.open(&args.mesh, args.frame_budget_ms)?);
     let manifest = driver.connect(Duration::from_secs(args.wait))?;
     let flight = flight.unwrap_or_else(|| default_path(&manifest));
     let options = FlyOptions {
@@ -59,11 +65,24 @@ pub(super) fn run(args: &FlyArgs) -> Result<()> {
             frames.len()
         );
     }
-    let (lost, reasons) = driver.client.lost_pages();
-    if lost > 0 {
-        eprintln!("warning: {lost} pages lost: {}", reasons.join("; "));
+    warn_of_pages(&driver);
+    if let Some(frame) = frames.iter().find(|frame| !frame.notes.is_empty()) {
+        let notes = frame.notes.join("; ");
+        let time_s = frame.time_s;
+        eprintln!("warning: at {time_s:.2} s on the path {notes}; the nearest allowed was flown");
     }
     Ok(())
+}
+
+fn warn_of_pages(driver: &Driver) {
+    let (lost, reasons) = driver.client.lost_pages();
+    let refusals = driver.client.refusals();
+    if refusals > 0 {
+        eprintln!("warning: pages were refused {refusals} times, and asked for again once each");
+    }
+    if lost > 0 || refusals > 0 {
+        eprintln!("warning: {lost} pages lost: {}", reasons.join("; "));
+    }
 }
 
 fn is_broken_pipe(error: &anyhow::Error) -> bool {
@@ -87,20 +106,12 @@ fn summarise(frames: &[FrameReport], error_px: f32) {
     let Some(last) = frames.last() else {
         return;
     };
-    let median = |mut values: Vec<f64>| {
-        values.sort_unstable_by(f64::total_cmp);
-        values.get(values.len() / 2).copied().unwrap_or(0.0)
+    let times = |stage: fn(&StageTimes) -> f32| {
+        let mut ms: Vec<f32> = frames.iter().map(|frame| stage(&frame.times)).collect();
+        ms.sort_unstable_by(f32::total_cmp);
+        let at = |percent: usize| ms[(ms.len() - 1) * percent / 100];
+        format!("median {:.2} ms, longest {:.2} ms a frame", at(50), at(100))
     };
-    let update_ms = median(
-        frames
-            .iter()
-            .map(|frame| f64::from(frame.update_ms))
-            .collect(),
-    );
-    let slowest_ms = frames
-        .iter()
-        .map(|frame| frame.update_ms)
-        .fold(0.0, f32::max);
     let triangles = frames
         .iter()
         .map(|frame| frame.triangles)
@@ -117,7 +128,10 @@ fn summarise(frames: &[FrameReport], error_px: f32) {
         "at most {triangles} triangles; {:.3} MB received",
         last.bytes as f64 / 1e6
     );
-    eprintln!("update: median {update_ms:.2} ms, longest {slowest_ms:.2} ms a frame");
+    eprintln!("decode: {}", times(|times| times.decode_ms));
+    eprintln!("link: {}", times(|times| times.link_ms));
+    eprintln!("update: {}", times(|times| times.update_ms));
+    eprintln!("triangulate: {}", times(|times| times.triangulate_ms));
     match first {
         Some(first) => eprintln!(
             "within {error_px} px first at {:.2} s on the path",
@@ -130,6 +144,11 @@ fn summarise(frames: &[FrameReport], error_px: f32) {
         within.count(),
         frames.len()
     );
+    let widest = frames.iter().map(|frame| frame.tolerance_px);
+    let widest = widest.fold(0.0, f32::max);
+    if widest > error_px {
+        eprintln!("budgets: the tolerance was widened, to {widest:.2} px at most");
+    }
     let bounds = frames
         .iter()
         .map(|frame| frame.bound_px.unwrap_or(f64::INFINITY));

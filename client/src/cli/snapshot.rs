@@ -1,6 +1,6 @@
 //! `escarp-client snapshot`.
 
-use super::arguments::{FOV_Y, LookArgs, ServerArgs};
+use super::arguments::{FOV_Y, FrameBudget, LookArgs, MeshArgs, ServerArgs};
 use crate::app::TerrainClient;
 use crate::app::headless::{Driver, Painter, save};
 use crate::camera::look_at;
@@ -15,6 +15,11 @@ pub(super) struct SnapshotArgs {
     server: ServerArgs,
     #[command(flatten)]
     look: LookArgs,
+    #[command(flatten)]
+    mesh: MeshArgs,
+    /// Most milliseconds of a step's work; pages that arrive faster wait. Or none
+    #[arg(long, default_value = "none", value_name = "MS")]
+    frame_budget_ms: FrameBudget,
     /// Picture to write
     #[arg(short, long, value_name = "FILE.png")]
     output: PathBuf,
@@ -25,13 +30,12 @@ pub(super) struct SnapshotArgs {
 
 pub(super) fn run(args: &SnapshotArgs) -> Result<()> {
     check_output(&args.output)?;
-    let mut driver = Driver::new(args.server.open());
+    let mut driver = Driver::new(args.server.open(&args.mesh, args.frame_budget_ms)?);
     let wait = Duration::from_secs(args.wait);
     let manifest = driver.connect(wait)?;
     let connected_s = driver.now().as_secs_f64();
     let (eye, look) = args.look.resolve(&manifest);
     let view = look_at(eye, look, FOV_Y, args.look.size.0, args.look.error_px);
-    view.check()?;
     // The first wishes travel while the adapter is being opened.
     driver.step(&view);
     let mut painter = Painter::new(&manifest, args.look.size.0)?;
@@ -41,10 +45,14 @@ pub(super) fn run(args: &SnapshotArgs) -> Result<()> {
         None => "no triangles".into(),
     };
     let settled_s = driver.now().as_secs_f64();
-    let image = painter.paint(&driver.client, view, args.look.wireframe)?;
-    save(&image, &args.output)?;
+    for note in driver.client.notes() {
+        eprintln!("note: {note}; the nearest that is allowed is shown");
+    }
+    let (view, _) = view.clamped();
+    let painted = painter.paint(&driver.client, view, args.look.wireframe)?;
+    save(&painted.image, &args.output)?;
     println!(
-        "{}: {} triangles, {} pages, {} bytes received, error bound {:.3} px of {} px; \
+        "{}: {} triangles, {} pages, {} bytes received, error bound {:.3} px of {}; \
          connected after {connected_s:.3} s, {first}, settled after \
          {settled_s:.3} s",
         args.output.display(),
@@ -52,7 +60,7 @@ pub(super) fn run(args: &SnapshotArgs) -> Result<()> {
         stats.pages_resident,
         stats.bytes_received,
         stats.bound_px,
-        args.look.error_px,
+        tolerance(stats.tolerance_px, args.look.error_px),
     );
     if !stats.converged {
         let (lost, reasons) = driver.client.lost_pages();
@@ -62,11 +70,19 @@ pub(super) fn run(args: &SnapshotArgs) -> Result<()> {
         };
         bail!(
             "the picture is not within {} px: {} pages are missing ({why})",
-            args.look.error_px,
+            stats.tolerance_px,
             stats.pages_wanted
         );
     }
     Ok(())
+}
+
+/// The tolerance that was kept, and the one that was asked for if a budget widened it.
+fn tolerance(used_px: f32, wished_px: f32) -> String {
+    match used_px > wished_px {
+        true => format!("{used_px:.3} px, widened from {wished_px} px to keep to the budget"),
+        false => format!("{wished_px} px"),
+    }
 }
 
 /// Says what is wrong with a path before anything is done for it.

@@ -1,6 +1,6 @@
 //! `escarp-client view`.
 
-use super::arguments::{LookArgs, ServerArgs};
+use super::arguments::{FrameBudget, LookArgs, MeshArgs, ServerArgs};
 use crate::app::viewer::{self, ViewerOptions};
 use anyhow::Result;
 use clap::Args;
@@ -11,6 +11,11 @@ pub(super) struct ViewArgs {
     server: ServerArgs,
     #[command(flatten)]
     look: LookArgs,
+    #[command(flatten)]
+    mesh: MeshArgs,
+    /// Most milliseconds of a frame's work; pages that arrive faster wait. Or none
+    #[arg(long, default_value = "8", value_name = "MS")]
+    frame_budget_ms: FrameBudget,
 }
 
 pub(super) fn run(args: ViewArgs) -> Result<()> {
@@ -22,5 +27,6 @@ pub(super) fn run(args: ViewArgs) -> Result<()> {
         start: args.look.given(),
         ..ViewerOptions::default()
     };
-    Ok(viewer::run(args.server.open(), options)?)
+    let client = args.server.open(&args.mesh, args.frame_budget_ms)?;
+    Ok(viewer::run(client, options)?)
 }

@@ -56,6 +56,16 @@ pub enum Event {
     },
 }
 
+impl Event {
+    /// Page bytes that it carries.
+    pub(super) fn page_bytes(&self) -> u64 {
+        match self {
+            Event::Chunk(chunk) => chunk.bytes.len() as u64,
+            _ => 0,
+        }
+    }
+}
+
 /// Why a session was given up.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum LinkError {
@@ -94,6 +104,8 @@ pub struct LinkStats {
     pub sent_bytes: u64,
     /// Pages asked for and not here yet, now.
     pub in_flight_pages: usize,
+    /// Chunks and misses that wait for [`poll_event`](super::Link::poll_event), now.
+    pub waiting_events: usize,
     /// Pages of which the link delivered parts that were not evicted since, now.
     pub held_pages: usize,
     /// Round trip, smoothed, from Ping to Pong, in this session or the last one.
@@ -150,17 +162,22 @@ impl Events {
         self.pages
     }
 
-    /// Drops the events about the pages that `which` names.
-    pub(super) fn forget_pages(&mut self, which: impl Fn(u64) -> bool) {
+    /// Drops the events about the pages that `which` names. Page bytes among them.
+    pub(super) fn forget_pages(&mut self, which: impl Fn(u64) -> bool) -> u64 {
+        let mut bytes = 0;
         if self.pages > 0 {
-            self.queue
-                .retain(|event| !page_of(event).is_some_and(&which));
+            self.queue.retain(|event| {
+                let keep = !page_of(event).is_some_and(&which);
+                bytes += if keep { 0 } else { event.page_bytes() };
+                keep
+            });
             self.pages = self
                 .queue
                 .iter()
                 .filter(|event| page_of(event).is_some())
                 .count();
         }
+        bytes
     }
 
     #[cfg(test)]

@@ -188,10 +188,13 @@ impl Link {
         }
     }
 
-    /// The next event, oldest first. Take them all in each frame: the link asks for no more pages
-    /// than can wait here.
+    /// The next event, oldest first. Take them as soon as there is use for them: the link asks for
+    /// no more pages than can wait here, and the server may send no more than a window of
+    /// [`LinkConfig::credit_window_bytes`] beyond what was taken.
     pub fn poll_event(&mut self) -> Option<Event> {
-        self.events.pop()
+        let event = self.events.pop()?;
+        self.credit.taken(event.page_bytes());
+        Some(event)
     }
 
     /// The whole wish list of the mesh tree, each page once, most urgent first. The server hears
@@ -228,7 +231,8 @@ impl Link {
     /// part again. Chunks of theirs that are not yet taken, or in flight, are dropped.
     pub fn evict(&mut self, pages: &[PageId]) {
         let keys: HashSet<u64> = pages.iter().map(|page| page.key()).collect();
-        self.events.forget_pages(|page| keys.contains(&page));
+        let dropped = self.events.forget_pages(|page| keys.contains(&page));
+        self.credit.taken(dropped);
         for page in keys {
             self.flights.cancel(page);
             if self.held.remove(page) && self.is_open() {
@@ -237,8 +241,8 @@ impl Link {
         }
     }
 
-    /// The caller found a page's bytes damaged: it is evicted, and not asked for again in this
-    /// session, as the same bytes would come.
+    /// The caller gives a page up, as its bytes are wrong: it is evicted, and not asked for again
+    /// in this session. A page that is only [evicted](Self::evict) may be wanted once more.
     pub fn reject(&mut self, page: PageId) {
         self.evict(&[page]);
         self.misses.lose(page.key());
@@ -283,6 +287,7 @@ impl Link {
     pub fn stats(&self) -> LinkStats {
         LinkStats {
             in_flight_pages: self.flights.len(),
+            waiting_events: self.events.pages(),
             held_pages: self.held.len(),
             round_trip_ms: self.keep_alive.round_trip_ms(),
             ..self.stats

@@ -104,7 +104,8 @@ impl Link {
         self.held.start(manifest.grid_levels);
         self.flights.clear();
         self.misses.clear();
-        self.events.forget_pages(|_| true);
+        let dropped = self.events.forget_pages(|_| true);
+        self.credit.taken(dropped);
     }
 
     fn on_chunk(&mut self, chunk: Chunk) {
@@ -113,12 +114,16 @@ impl Link {
         self.credit.received(bytes);
         match self.flights.take(&chunk, &mut self.held) {
             Verdict::Taken => self.events.push_page(Event::Chunk(chunk)),
-            Verdict::Stray => self.stats.dropped_chunks += 1,
+            Verdict::Stray => {
+                self.stats.dropped_chunks += 1;
+                self.credit.taken(bytes);
+            }
             // The revision of a page does not change within a session, and parts come as asked
             // for: the server, or the disk below it, is at fault, and asking again would bring
             // the same.
             Verdict::Unusable => {
                 self.stats.dropped_chunks += 1;
+                self.credit.taken(bytes);
                 self.lose(chunk.page, MissReason::Damaged);
             }
         }

@@ -6,11 +6,15 @@ use escarp_proto::wire::{ClientMessage, PAGES_FRAME};
 use std::time::Duration;
 
 /// How many page bytes the server may send. Invariants: the grant never falls, and is at most one
-/// window beyond what was received.
+/// window beyond what was received and taken by the caller. So a caller that leaves chunks where
+/// they are holds back the server, and what waits is at most one window.
 #[derive(Debug)]
 pub(super) struct Credit {
     window: u64,
-    received: u64,
+    /// Bytes that came and are done with.
+    taken: u64,
+    /// Bytes that came, and wait for the caller.
+    waiting: u64,
     granted: u64,
 }
 
@@ -20,7 +24,8 @@ impl Credit {
         let window = config.credit_window_bytes.max(2 * PAGES_FRAME as u64);
         Credit {
             window,
-            received: 0,
+            taken: 0,
+            waiting: 0,
             granted: window,
         }
     }
@@ -31,15 +36,22 @@ impl Credit {
     }
 
     pub(super) fn received(&mut self, bytes: u64) {
-        self.received = self.received.saturating_add(bytes);
+        self.waiting = self.waiting.saturating_add(bytes);
+    }
+
+    /// Bytes that were received are done with. Those of an earlier session do not count.
+    pub(super) fn taken(&mut self, bytes: u64) {
+        let bytes = bytes.min(self.waiting);
+        self.waiting -= bytes;
+        self.taken = self.taken.saturating_add(bytes);
     }
 
     /// A new grant, once half of the window is used.
     pub(super) fn due(&mut self) -> Option<u64> {
-        if self.granted.saturating_sub(self.received) > self.window / 2 {
+        if self.granted.saturating_sub(self.taken) > self.window / 2 {
             return None;
         }
-        self.granted = self.received.saturating_add(self.window);
+        self.granted = self.taken.saturating_add(self.window);
         Some(self.granted)
     }
 }

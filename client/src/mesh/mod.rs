@@ -14,6 +14,7 @@
 //! 4. Pages are linked and unlinked between updates only.
 
 mod audit;
+mod contradiction;
 mod distance;
 mod frustum;
 mod levels;
@@ -32,6 +33,7 @@ mod vertices;
 mod wants;
 
 pub use audit::{SurfaceTriangle, VertexFlags};
+pub use contradiction::Contradiction;
 pub use frustum::Frustum;
 pub use mesher::{BLOCK_LEVELS, MeshOptions, MeshOptionsError, MesherKind, Metric, SPLIT_RATIOS};
 pub use morph::MORPH_SHARES;

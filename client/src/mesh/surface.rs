@@ -1,11 +1,12 @@
 //! What every mesher works on: the resident pages, how they hang together, and which of their
 //! vertices are enabled.
 
+use super::contradiction::{Contradiction, Known};
 use super::page_mesh::PageMesh;
 use super::place::PageSquare;
 use super::vertices::VertexState;
 use super::wants::Wishes;
-use escarp_proto::geometry::{Edge, GridLevels, PAGE_CELLS, PAGE_SAMPLES, PageId, Slot};
+use escarp_proto::geometry::{Edge, GridLevels, PAGE_SAMPLES, PageId, Slot};
 use escarp_proto::georef::Georef;
 use escarp_proto::page::{Bounds, BoxError, PAGE_AREA, Page, PageError};
 use std::collections::HashMap;
@@ -20,14 +21,17 @@ pub enum LinkError {
     /// The page above it is not resident, or says that there is no such page. It came too late.
     #[error("page {0} hangs below nothing that is resident")]
     Orphan(PageId),
-    /// It is not what the page above it says.
-    #[error("page {page} contradicts the page above it: {why}")]
+    /// It is not what the page above it says, or those beside it have.
+    #[error("page {page} contradicts what is known of it: {what}")]
     Contradiction {
         /// The page.
         page: PageId,
-        /// What differs.
-        why: &'static str,
+        /// What it says that cannot be.
+        what: Contradiction,
     },
+    /// It was refused and asked for again, and came without the parts that are missing.
+    #[error("page {0} came again with no more parts than are here")]
+    Repeated(PageId),
     /// It does not decode.
     #[error(transparent)]
     Page(#[from] PageError),
@@ -158,16 +162,18 @@ impl Surface {
     pub(super) fn link(&mut self, page: Page) -> Result<Index, LinkError> {
         let id = page.id();
         if let Some(&index) = self.by_id.get(&id) {
-            self.replace(index, page);
+            self.replace(index, page)?;
             return Ok(index);
         }
-        let parent = self.parent_of(&page)?;
+        let parent = self.parent_of(id)?;
         let promise = parent.map(|(index, slot)| {
             let (column, row) = slot.position();
             self.node(index).bounds.box_error(4, column, row)
         });
+        let known = Known { parent, promise };
+        let bounds = self.vetted_bounds(&page, known)?;
         let index = self.free.pop().unwrap_or(self.nodes.len() as Index);
-        let node = self.new_node(page, parent, promise);
+        let node = self.new_node(page, bounds, known);
         match self.nodes.get_mut(index as usize) {
             Some(place) => *place = Some(node),
             None => self.nodes.push(Some(node)),
@@ -191,16 +197,11 @@ impl Surface {
         Ok(index)
     }
 
-    fn new_node(
-        &self,
-        page: Page,
-        parent: Option<(Index, Slot)>,
-        promise: Option<BoxError>,
-    ) -> Node {
+    fn new_node(&self, page: Page, bounds: Bounds, known: Known) -> Node {
+        let Known { parent, promise } = known;
         let id = page.id();
         let (x, y) = self.grid.page_origin(id);
         let stride = self.grid.page_stride(id);
-        let bounds = Bounds::derive(&page, promise);
         let range = bounds.box_error(0, 0, 0).range;
         let cells = self.grid.square_cells(id.level());
         Node {
@@ -233,37 +234,26 @@ impl Surface {
         }
     }
 
-    /// Finds the parent and checks the page against it.
-    fn parent_of(&self, page: &Page) -> Result<Option<(Index, Slot)>, LinkError> {
-        let id = page.id();
+    /// The page above, and its slot for this one.
+    fn parent_of(&self, id: PageId) -> Result<Option<(Index, Slot)>, LinkError> {
         let Some((parent, slot)) = id.parent() else {
             return Ok(None);
         };
         let index = *self.by_id.get(&parent).ok_or(LinkError::Orphan(id))?;
-        let parent = &self.node(index).page;
-        if !parent.has_slots() {
-            return Err(LinkError::Orphan(id));
+        match self.node(index).page.has_slots() {
+            true => Ok(Some((index, slot))),
+            false => Err(LinkError::Orphan(id)),
         }
-        let (column, row) = slot.position();
-        let end = PAGE_CELLS;
-        for (x, y) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
-            let above = (row + y) * PAGE_SAMPLES + column + x;
-            let below = y * end * PAGE_SAMPLES + x * end;
-            let known = parent.is_valid(above) && page.is_valid(below);
-            if known && parent.height(above) != page.height(below) {
-                return Err(LinkError::Contradiction {
-                    page: id,
-                    why: "a corner has another height",
-                });
-            }
-        }
-        Ok(Some((index, slot)))
     }
 
     /// More parts of a page: its enabled vertices stay as they are.
-    fn replace(&mut self, index: Index, page: Page) {
-        let promise = self.node(index).promise;
-        let bounds = Bounds::derive(&page, promise);
+    fn replace(&mut self, index: Index, page: Page) -> Result<(), LinkError> {
+        let node = self.node(index);
+        let known = Known {
+            parent: node.parent,
+            promise: node.promise,
+        };
+        let bounds = self.vetted_bounds(&page, known)?;
         let node = self.node_mut(index);
         node.page = page;
         node.bounds = bounds;
@@ -271,6 +261,7 @@ impl Surface {
         node.stale_triangles = true;
         self.mark_around(index);
         self.changes += 1;
+        Ok(())
     }
 
     /// A page has come, gone or changed: the vertices that the pages around share with it are

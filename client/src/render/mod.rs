@@ -38,6 +38,6 @@ pub use gpu::{Gpu, GpuError};
 pub use headless::{Headless, render_to_image};
 pub use overlay::UiFrame;
 pub use pages::UploadStats;
-pub use scene::{DrawParams, DrawStats, PageSync, Scene};
+pub use scene::{DrawParams, DrawStats, EXAGGERATIONS, PageSync, Scene};
 pub use target::Output;
 pub use window::{Presented, WindowTarget};

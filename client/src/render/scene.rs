@@ -8,7 +8,7 @@ use super::target::{Attachments, Output};
 use super::{sky, terrain, wireframe};
 use crate::mesh::PageMesh;
 use escarp_proto::georef::Georef;
-use escarp_proto::view::View;
+use escarp_proto::view::{View, ViewError};
 
 /// From the north-west, 38 degrees up, where maps have it.
 const MAP_SUN: [f32; 3] = [-0.557, 0.557, 0.616];
@@ -22,9 +22,12 @@ pub struct DrawParams {
     pub wireframe: bool,
     /// Towards the sun; any length but zero.
     pub sun: [f32; 3],
-    /// Factor on all heights, at least 0; 1 is true.
+    /// Factor on all heights, in [`EXAGGERATIONS`]; 1 is true.
     pub exaggeration: f32,
 }
+
+/// Allowed exaggerations: beyond, squares of distances are too large for single precision.
+pub const EXAGGERATIONS: [f32; 2] = [0.0, 1000.0];
 
 impl DrawParams {
     /// A view with the sun where maps have it, true heights, and no wireframe.
@@ -35,6 +38,30 @@ impl DrawParams {
             sun: MAP_SUN,
             exaggeration: 1.0,
         }
+    }
+
+    /// Parameters that are in order, and what had to be changed for it: the view as
+    /// [`View::clamped`] does, an exaggeration that is no number is 1.
+    pub fn clamped(&self) -> (DrawParams, Vec<ViewError>) {
+        let (view, mut notes) = self.view.clamped();
+        let [least, most] = EXAGGERATIONS;
+        if !(least..=most).contains(&self.exaggeration) {
+            notes.push(ViewError {
+                field: "exaggeration",
+                found: self.exaggeration.to_string(),
+                allowed: format!("{least}..={most}"),
+            });
+        }
+        let exaggeration = match self.exaggeration.is_nan() {
+            true => 1.0,
+            false => self.exaggeration.clamp(least, most),
+        };
+        let params = DrawParams {
+            view,
+            exaggeration,
+            ..*self
+        };
+        (params, notes)
     }
 }
 
@@ -164,8 +191,10 @@ impl Scene {
         params: &DrawParams,
         background: Option<wgpu::Color>,
     ) -> DrawStats {
+        // Whatever is asked for, no buffer gets a NaN.
+        let (params, _) = params.clamped();
         let eye = EyeFrame::of(&params.view, &self.georef, params.exaggeration);
-        let frame = FrameUniform::new(&eye, &self.body, params, self.output);
+        let frame = FrameUniform::new(&eye, &self.body, &params, self.output);
         self.frame.write(&self.gpu, &frame);
         self.prepare_morph();
         let ground = self.passes.morphed.as_ref();

@@ -5,7 +5,9 @@ use super::ui::{Facts, Settings, TOLERANCES_PX, show};
 use super::{ViewerError, ViewerOptions};
 use crate::app::{GroundProbe, StepStats, TerrainClient};
 use crate::camera::{DEFAULT_FOV_Y, FlyCamera, overview};
+use crate::mesh::MeshOptions;
 use crate::render::{DrawParams, GpuError, Headless, Presented, Scene, UiFrame, WindowTarget};
+use crate::stages::StageTimes;
 use escarp_proto::manifest::Manifest;
 use escarp_proto::view::View;
 use std::path::PathBuf;
@@ -75,6 +77,7 @@ impl Session {
                 exaggeration: 1.0,
                 wireframe: options.wireframe,
                 help: true,
+                mesh: MeshOptions::default(),
             },
             facts: Facts::default(),
             input: Input::default(),
@@ -238,19 +241,23 @@ impl Session {
         }
         self.enter_world(client);
         self.facts.status = client.status();
+        self.settings.mesh = client.mesh_options();
         if let Some(size) = self.target.size_px() {
             self.advance(client, size, now, elapsed);
         }
         self.save_screenshot(now);
         let ui = self.lay_out(now);
+        client.set_mesh_options(self.settings.mesh);
         let params = self.params();
         let scene = self.world.as_mut().map(|world| &mut world.scene);
+        let present_began = Instant::now();
         let presented = self.target.present(scene.zip(params.as_ref()), ui)?;
         self.stale = presented == Presented::Retry;
         if let Presented::Shown(drawn) = presented {
             self.facts.drawn = drawn;
             let ms = began.elapsed().as_secs_f32() * 1e3;
             self.facts.frame_ms += (ms - self.facts.frame_ms) * FRAME_MS_SHARE;
+            self.facts.draw_ms = present_began.elapsed().as_secs_f32() * 1e3;
         }
         Ok(presented)
     }
@@ -303,8 +310,14 @@ impl Session {
         world.stay_above_ground(exaggeration);
         let view = world.camera.view(size, self.settings.error_px);
         let step = client.step(&view, now);
-        world.sync(client, &view);
-        self.unsettled = !step.converged || step_differs(&step, &self.facts.step);
+        self.facts.notes.clear();
+        self.facts.notes.extend_from_slice(client.notes());
+        let began = Instant::now();
+        world.sync(client, &view.clamped().0);
+        self.facts.upload_ms = began.elapsed().as_secs_f32() * 1e3;
+        client.uploaded(self.facts.upload_ms);
+        let loading = !step.converged || step.chunks_waiting > 0;
+        self.unsettled = loading || step_differs(&step, &self.facts.step);
         self.facts.step = step;
         self.facts.above_ground_m = world.ground_m.map(|_| world.above_ground_m(exaggeration));
         self.facts.speed_m_s = world.camera.speed_m_s(above);
@@ -313,11 +326,12 @@ impl Session {
     fn params(&self) -> Option<DrawParams> {
         let (world, size) = (self.world.as_ref()?, self.target.size_px()?);
         let view = world.camera.view(size, self.settings.error_px);
-        Some(DrawParams {
+        let params = DrawParams {
             wireframe: self.settings.wireframe,
             exaggeration: self.settings.exaggeration,
             ..DrawParams::new(view)
-        })
+        };
+        Some(params.clamped().0)
     }
 
     fn lay_out(&mut self, now: Duration) -> UiFrame {
@@ -326,6 +340,7 @@ impl Session {
         let (settings, facts) = (&mut self.settings, &self.facts);
         let before = *settings;
         let output = context.run_ui(input, |ui| show(ui, settings, facts));
+        settings.put_in_order(&before);
         self.unsettled |= before != *settings;
         self.egui
             .handle_platform_output(&self.window, output.platform_output);
@@ -401,11 +416,6 @@ impl World {
 
 /// Whether anything but the time it took differs.
 fn step_differs(a: &StepStats, b: &StepStats) -> bool {
-    StepStats {
-        update_ms: 0.0,
-        ..*a
-    } != StepStats {
-        update_ms: 0.0,
-        ..*b
-    }
+    let times = StageTimes::default();
+    StepStats { times, ..*a } != StepStats { times, ..*b }
 }

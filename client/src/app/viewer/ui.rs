@@ -2,8 +2,9 @@
 
 use super::input::HELP;
 use crate::app::StepStats;
+use crate::mesh::{BLOCK_LEVELS, MeshOptions, MesherKind, Metric};
 use crate::render::DrawStats;
-use egui::{Align2, Color32, Frame, RichText, Slider, Ui, Window};
+use egui::{Align2, Color32, ComboBox, Frame, RichText, Slider, Ui, Window};
 
 /// Range of the tolerance slider, pixels.
 pub const TOLERANCES_PX: [f32; 2] = [0.5, 32.0];
@@ -17,6 +18,22 @@ pub struct Settings {
     pub exaggeration: f32,
     pub wireframe: bool,
     pub help: bool,
+    pub mesh: MeshOptions,
+}
+
+impl Settings {
+    /// Keeps what was set before in place of numbers that are none, as can be typed into a slider.
+    pub fn put_in_order(&mut self, before: &Settings) {
+        let usable = |value: f32, before: f32, [least, most]: [f32; 2]| match value.is_nan() {
+            true => before,
+            false => value.clamp(least, most),
+        };
+        // A tolerance from the command line may be beyond the slider's range.
+        if self.error_px != before.error_px {
+            self.error_px = usable(self.error_px, before.error_px, TOLERANCES_PX);
+        }
+        self.exaggeration = usable(self.exaggeration, before.exaggeration, EXAGGERATIONS);
+    }
 }
 
 /// What the user is told.
@@ -27,6 +44,11 @@ pub struct Facts {
     pub drawn: DrawStats,
     /// What a frame takes, on average, milliseconds.
     pub frame_ms: f32,
+    /// What bringing the GPU up to date took, and drawing, milliseconds.
+    pub upload_ms: f32,
+    pub draw_ms: f32,
+    /// What had to be changed of the view.
+    pub notes: Vec<String>,
     pub above_ground_m: Option<f64>,
     pub speed_m_s: f64,
     /// The newest message, such as where a picture was saved.
@@ -78,18 +100,28 @@ fn status(ui: &mut Ui, facts: &Facts, settings: &Settings) {
     let (step, drawn) = (&facts.step, &facts.drawn);
     ui.label(bound(step, settings));
     ui.label(format!(
-        "{} triangles ({} drawn)   {:.1} ms a frame (update {:.2} ms)",
+        "{} triangles ({} drawn)   {:.1} ms a frame",
         thousands(step.triangles),
         thousands(drawn.triangles_drawn),
         facts.frame_ms,
-        step.update_ms
+    ));
+    let times = &step.times;
+    ui.label(format!(
+        "ms: decode {:.2}  link {:.2}  update {:.2}  triangulate {:.2}  upload {:.2}  draw {:.2}",
+        times.decode_ms,
+        times.link_ms,
+        times.update_ms,
+        times.triangulate_ms,
+        facts.upload_ms,
+        facts.draw_ms
     ));
     ui.label(format!(
-        "{} received   pages: {} resident, {} wanted, {} in flight",
+        "{} received   pages: {} resident, {} wanted, {} in flight, {} waiting",
         bytes(step.bytes_received),
         step.pages_resident,
         step.pages_wanted,
-        step.pages_in_flight
+        step.pages_in_flight,
+        step.chunks_waiting
     ));
     let above = facts.above_ground_m.map_or("—".into(), metres);
     ui.label(format!(
@@ -97,9 +129,23 @@ fn status(ui: &mut Ui, facts: &Facts, settings: &Settings) {
         metres(facts.speed_m_s)
     ));
     ui.label(facts.status.clone());
-    if !facts.message.is_empty() {
-        ui.label(RichText::new(&facts.message).color(Color32::from_rgb(255, 214, 120)));
+    for note in facts.notes.iter().chain(Some(&facts.message)) {
+        if !note.is_empty() {
+            ui.label(RichText::new(note).color(Color32::from_rgb(255, 214, 120)));
+        }
     }
+}
+
+/// The level of all blocks, or by distance.
+fn level(ui: &mut Ui, level: &mut Option<u8>) {
+    let name = |level: Option<u8>| level.map_or("by distance".into(), |n| format!("level {n}"));
+    let shown = ComboBox::from_id_salt("level").selected_text(name(*level));
+    shown.show_ui(ui, |ui| {
+        let levels = (BLOCK_LEVELS[0]..=BLOCK_LEVELS[1]).map(Some);
+        for choice in std::iter::once(None).chain(levels) {
+            ui.selectable_value(level, choice, name(choice));
+        }
+    });
 }
 
 /// The error bound against the tolerance: green within it, amber while loading.
@@ -115,8 +161,12 @@ fn bound(step: &StepStats, settings: &Settings) -> RichText {
     } else {
         ", at true heights"
     };
+    let widened = match step.tolerance_px > settings.error_px {
+        true => format!(", widened to {:.2} px by the budget", step.tolerance_px),
+        false => String::new(),
+    };
     let text = format!(
-        "error at most {found}, tolerance {:.2} px{scale}{state}",
+        "error at most {found}, tolerance {:.2} px{widened}{scale}{state}",
         settings.error_px
     );
     let within = step.bound_px <= f64::from(settings.error_px);
@@ -145,6 +195,29 @@ fn controls(ui: &mut Ui, settings: &mut Settings) {
     ui.horizontal(|ui| {
         ui.checkbox(&mut settings.wireframe, "wireframe");
         ui.checkbox(&mut settings.help, "help");
+    });
+    mesh(ui, &mut settings.mesh);
+}
+
+/// Which mesher, by which errors.
+fn mesh(ui: &mut Ui, mesh: &mut MeshOptions) {
+    ui.horizontal(|ui| {
+        let shown = ComboBox::from_id_salt("mesher").selected_text(mesh.mesher.name());
+        shown.show_ui(ui, |ui| {
+            for &kind in MesherKind::ALL {
+                ui.selectable_value(&mut mesh.mesher, kind, kind.name());
+            }
+        });
+        let shown = ComboBox::from_id_salt("metric").selected_text(mesh.metric.to_string());
+        shown.show_ui(ui, |ui| {
+            for metric in [Metric::Bounding, Metric::Local] {
+                ui.selectable_value(&mut mesh.metric, metric, metric.to_string());
+            }
+        });
+        if mesh.mesher == MesherKind::Levels {
+            level(ui, &mut mesh.level);
+        }
+        ui.label("mesher, metric");
     });
 }
 
@@ -187,6 +260,31 @@ fn metres(m: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_is_typed_into_a_slider_is_put_in_order() {
+        let before = Settings {
+            error_px: 40.0,
+            exaggeration: 2.0,
+            wireframe: false,
+            help: false,
+            mesh: MeshOptions::default(),
+        };
+        let typed = |error_px, exaggeration| {
+            let mut settings = Settings {
+                error_px,
+                exaggeration,
+                ..before
+            };
+            settings.put_in_order(&before);
+            [settings.error_px, settings.exaggeration]
+        };
+        assert_eq!(typed(f32::NAN, f32::NAN), [40.0, 2.0]);
+        assert_eq!(typed(40.0, 2.0), [40.0, 2.0]);
+        assert_eq!(typed(f32::INFINITY, f32::NEG_INFINITY), [32.0, 0.5]);
+        assert_eq!(typed(-0.0, 0.0), [0.5, 0.5]);
+        assert_eq!(typed(f32::MAX, f32::MIN_POSITIVE), [32.0, 0.5]);
+    }
 
     #[test]
     fn figures_are_readable() {

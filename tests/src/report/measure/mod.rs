@@ -1,0 +1,86 @@
+//! Deviation of a mesh from the full-resolution surface, measured fast and in full.
+//!
+//! Between samples the surface is the finest triangulation of the data. Mesh and surface are
+//! linear between the crossings of their edges, so the largest deviation over a triangle is at a
+//! sample in it or on its edges. Every sample in view is compared where the dataset fits in
+//! memory; of larger ones [`sampled`] takes a share, and says which. `crate::measure` has the
+//! naive way, against which this one is tested.
+
+pub mod crossings;
+pub mod histogram;
+pub mod judge;
+pub mod sampled;
+pub mod scan;
+pub mod surface;
+pub mod tally;
+pub mod whole;
+
+#[cfg(test)]
+mod tests;
+
+use anyhow::Result;
+use escarp_client::mesh::{MeshTree, SurfaceTriangle};
+use escarp_proto::georef::Georef;
+use escarp_proto::view::View;
+use judge::Judge;
+use scan::Area;
+use surface::FullSurface;
+use tally::{Promise, Tally};
+
+/// All triangles of a mesh.
+pub fn triangles(tree: &MeshTree) -> Vec<SurfaceTriangle> {
+    let mut triangles = Vec::new();
+    tree.visit_triangles(|triangle| triangles.push(triangle));
+    triangles
+}
+
+impl FullSurface<'_> {
+    /// Measures a mesh from a view against what was promised of it.
+    ///
+    /// # Errors
+    /// If the dataset is damaged.
+    pub fn measure(
+        &self,
+        triangles: &[SurfaceTriangle],
+        view: &View,
+        promise: Promise,
+    ) -> Result<Tally> {
+        let judge = Judge::new(&self.dataset.manifest().georef, view);
+        let mut tally = match &self.whole {
+            Some(samples) => whole::measure(samples, triangles, &judge, view, promise),
+            None => sampled::measure(self.dataset, triangles, &judge, promise)?,
+        };
+        for triangle in triangles {
+            let [a, b, c] = triangle.corners.map(|(x, y, _)| (x, y));
+            let edges = [(a, b), (b, c), (c, a)];
+            let crooked = edges
+                .iter()
+                .filter(|(from, to)| !crossings::follows_the_grid(*from, *to));
+            tally.edges += 3;
+            tally.crooked_edges += crooked.count() as u64;
+        }
+        Ok(tally)
+    }
+}
+
+/// Half the longest side of a triangle, metres: as far as an outline may be off. Finest triangles
+/// are the surface itself, and so of no size.
+fn size_m(triangle: &SurfaceTriangle, georef: &Georef) -> f64 {
+    if is_finest(triangle) {
+        return 0.0;
+    }
+    let [a, b, c] = triangle.corners;
+    let side = |p: (u32, u32, i32), q: (u32, u32, i32)| {
+        let (dx, dy) = (
+            f64::from(p.0) - f64::from(q.0),
+            f64::from(p.1) - f64::from(q.1),
+        );
+        (dx * georef.sample_spacing_m[0]).hypot(dy * georef.sample_spacing_m[1])
+    };
+    side(a, b).max(side(b, c)).max(side(c, a)) / 2.0
+}
+
+/// Whether a triangle has no sample but its corners, and is part of the surface.
+fn is_finest(triangle: &SurfaceTriangle) -> bool {
+    Area::of(&triangle.corners).cells() <= 1
+}
