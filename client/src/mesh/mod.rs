@@ -36,7 +36,7 @@ pub use audit::{SurfaceTriangle, VertexFlags};
 pub use contradiction::Contradiction;
 pub use frustum::Frustum;
 pub use mesher::{BLOCK_LEVELS, MeshOptions, MeshOptionsError, MesherKind, Metric, SPLIT_RATIOS};
-pub use morph::MORPH_SHARES;
+pub use morph::{DEFAULT_MORPH, MORPH_SHARES};
 pub use page_mesh::{PageMesh, Vertex};
 pub use surface::LinkError;
 pub use tree::{MeshTree, UpdateStats};

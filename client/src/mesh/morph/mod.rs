@@ -47,6 +47,9 @@ use ramp::Ramp;
 /// Least and largest share of the tolerance to morph over.
 pub const MORPH_SHARES: [f64; 2] = [0.01, 4.0];
 
+/// The share that is morphed over if nothing else is said.
+pub const DEFAULT_MORPH: f64 = 0.1;
+
 /// A weight may lag behind the eye by this share of the way from 0 to 1.
 const LAG: f64 = 1.0 / 64.0;
 
