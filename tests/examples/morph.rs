@@ -7,17 +7,18 @@
 //! A level flight to the north-east, so high above the ground in the middle, so far each frame.
 //! Prints a line for each tolerance and share; a jump is how far the displayed surface moves on the
 //! screen, between two frames, at a vertex of either mesh that is in view: the largest is that of
-//! the whole surface, as it is linear between them.
+//! the whole surface, as it is linear between them. Those within two triangles of one that is not
+//! drawn are counted apart: outlines are made of whole triangles, with or without a morph.
 
 use escarp_client::app::GroundProbe;
 use escarp_client::camera::look_at;
-use escarp_client::mesh::{Frustum, MeshOptions};
+use escarp_client::mesh::{Frustum, MeshOptions, MeshTree};
 use escarp_proto::georef::{Georef, WorldBox};
 use escarp_proto::view::View;
-use escarp_tests::displayed::{Point, displayed};
+use escarp_tests::displayed::Point;
 use escarp_tests::feed::Feed;
 use escarp_tiles::dataset::Dataset;
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::error::Error;
 use std::time::Instant;
 
@@ -51,6 +52,8 @@ struct Flown {
     offset_pages: u64,
     /// Of all vertices in view, of all frames, those above 0, pixels.
     jumps_px: Vec<f64>,
+    /// The largest near an outline, pixels.
+    outline_px: f64,
     vertices: u64,
 }
 
@@ -67,7 +70,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     };
     println!(
         "px | share | triangles | update ms, median, mean | triangulate ms | pages moved a frame | \
-         largest jump px | p99.9 px | above 0.1 px a frame | above 0.5 px a frame"
+         largest jump px | p99.9 px | above 0.1 px a frame | above 0.5 px a frame | \
+         largest at an outline px"
     );
     for error_px in TOLERANCES_PX {
         for share in SHARES {
@@ -111,7 +115,7 @@ fn fly(dataset: &Dataset, flight: &Flight, error_px: f32, morph: f64) -> Flown {
     };
     let mut feed = Feed::with_options(dataset, options);
     let mut flown = Flown::default();
-    let mut before: Option<HashMap<Point, f64>> = None;
+    let mut before: Option<Shown> = None;
     let mut stamps: HashMap<_, u64> = HashMap::new();
     for frame in 0..flight.frames {
         let view = flight.view(frame, error_px);
@@ -129,11 +133,7 @@ fn fly(dataset: &Dataset, flight: &Flight, error_px: f32, morph: f64) -> Flown {
             let known = stamps.insert(mesh.id, mesh.offset_stamp);
             flown.offset_pages += u64::from(known.unwrap_or(0) != mesh.offset_stamp);
         }
-        let mut now = HashMap::new();
-        for (triangle, heights) in displayed(&feed.tree) {
-            let places = triangle.corners.map(|(x, y, _)| (x, y));
-            now.extend(places.into_iter().zip(heights));
-        }
+        let now = Shown::of(&feed.tree);
         if let Some(before) = &before {
             compare(
                 &dataset.manifest().georef,
@@ -147,12 +147,49 @@ fn fly(dataset: &Dataset, flight: &Flight, error_px: f32, morph: f64) -> Flown {
     flown
 }
 
+/// What is displayed in a frame.
+struct Shown {
+    heights: HashMap<Point, f64>,
+    /// Vertices within two triangles of one that is not drawn.
+    outline: HashSet<Point>,
+}
+
+impl Shown {
+    fn of(tree: &MeshTree) -> Shown {
+        let (mut heights, mut outline) = (HashMap::new(), HashSet::new());
+        let mut drawn = Vec::new();
+        tree.visit_displayed(|triangle, displayed| {
+            let places = triangle.corners.map(|(x, y, _)| (x, y));
+            if triangle.drawn {
+                heights.extend(places.into_iter().zip(displayed));
+                drawn.push(places);
+            } else {
+                outline.extend(places);
+            }
+        });
+        for _ in 0..2 {
+            let near = drawn
+                .iter()
+                .filter(|t| t.iter().any(|at| outline.contains(at)));
+            let wider: Vec<Point> = near.flatten().copied().collect();
+            outline.extend(wider);
+        }
+        Shown { heights, outline }
+    }
+}
+
 /// Adds the jumps of the vertices in view between two frames.
-fn compare(georef: &Georef, view: &View, [before, now]: [&HashMap<Point, f64>; 2], to: &mut Flown) {
+fn compare(georef: &Georef, view: &View, [before, now]: [&Shown; 2], to: &mut Flown) {
     let frustum = Frustum::of(view);
-    let gone = before.keys().filter(|at| !now.contains_key(at));
-    for &(x, y) in now.keys().chain(gone) {
-        let heights = (height(before, (x, y)), height(now, (x, y)));
+    let gone = before
+        .heights
+        .keys()
+        .filter(|at| !now.heights.contains_key(at));
+    for &(x, y) in now.heights.keys().chain(gone) {
+        let heights = (
+            height(&before.heights, (x, y)),
+            height(&now.heights, (x, y)),
+        );
         let (Some(one), Some(other)) = heights else {
             continue;
         };
@@ -164,8 +201,10 @@ fn compare(georef: &Georef, view: &View, [before, now]: [&HashMap<Point, f64>; 2
         }
         to.vertices += 1;
         let jump_m = (one - other).abs() * georef.quantum_m;
-        if jump_m > 0.0 {
-            let px = jump_m * view.px_per_slope() / point.distance_m(view.eye_m);
+        let px = jump_m * view.px_per_slope() / point.distance_m(view.eye_m);
+        if before.outline.contains(&(x, y)) || now.outline.contains(&(x, y)) {
+            to.outline_px = to.outline_px.max(px);
+        } else if px > 0.0 {
             to.jumps_px.push(px);
         }
     }
@@ -203,7 +242,7 @@ fn report(error_px: f32, share: f64, frames: u32, mut flown: Flown) {
     let at = flown.jumps_px.len().checked_sub(beyond + 1);
     let above = |px: f64| flown.jumps_px.iter().filter(|&&jump| jump > px).count() as f64 / frames;
     println!(
-        "{error_px} | {share} | {:.0} | {median:.3}, {:.3} | {:.3} | {:.1} | {:.4} | {:.4} | {:.2} | {:.2}",
+        "{error_px} | {share} | {:.0} | {median:.3}, {:.3} | {:.3} | {:.1} | {:.4} | {:.4} | {:.2} | {:.2} | {:.3}",
         flown.triangles as f64 / frames,
         means.0,
         means.1,
@@ -212,5 +251,6 @@ fn report(error_px: f32, share: f64, frames: u32, mut flown: Flown) {
         at.map_or(0.0, |at| flown.jumps_px[at]),
         above(0.1),
         above(0.5),
+        flown.outline_px,
     );
 }

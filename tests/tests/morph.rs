@@ -2,6 +2,7 @@
 //! and the average of meshes that it is.
 
 use escarp_client::mesh::{MeshOptions, MeshTree};
+use escarp_client::render::{DrawParams, Gpu, Output, Scene, render_to_image};
 use escarp_proto::view::View;
 use escarp_tests::displayed::{
     Average, check_displayed, displayed_deviation, displayed_heights, weighted,
@@ -243,7 +244,7 @@ fn largest_jump(data: &TempDataset, morph: f64, frames: u32, error_px: f32) -> (
 }
 
 #[test]
-fn in_a_slow_flight_nothing_jumps_by_more_than_a_thirtieth_of_the_tolerance() {
+fn in_a_slow_flight_nothing_jumps_by_more_than_a_twentieth_of_the_tolerance() {
     // Without holes: an outline jumps as triangles come and go along it.
     let side = 257;
     for (name, data, jumps) in [
@@ -254,7 +255,7 @@ fn in_a_slow_flight_nothing_jumps_by_more_than_a_thirtieth_of_the_tolerance() {
             let (with, _) = largest_jump(&data, 0.25, 60, error_px);
             let (without, many) = largest_jump(&data, 0.0, 60, error_px);
             println!("{name} {error_px} px: {with} with, {without} without ({many} jumps)");
-            assert!(with <= 1.0 / 30.0, "{name} {error_px} px: {with}");
+            assert!(with <= 0.05, "{name} {error_px} px: {with}");
             let jumps = if error_px > 1.0 { jumps } else { 0 };
             assert!(
                 many >= jumps && (jumps == 0 || without > 0.1),
@@ -277,7 +278,7 @@ fn a_vertex_comes_and_goes_where_it_lies_on_the_edge_that_it_splits() {
         if let Some(before) = &before {
             for (one, other) in [(before, &now), (&now, before)] {
                 for (at, vertex) in one.iter().filter(|(at, _)| !other.contains_key(at)) {
-                    assert!(vertex.weight <= 0.01, "frame {frame} {at:?}: {vertex:?}");
+                    assert!(vertex.weight <= 0.04, "frame {frame} {at:?}: {vertex:?}");
                     changes += 1;
                 }
             }
@@ -302,5 +303,59 @@ fn without_morph_nothing_is_moved_and_no_vertex_more_is_enabled() {
     for huge in [f64::INFINITY, 1e300] {
         let mut feed = Feed::with_options(&data.dataset, options(huge));
         check(&mut feed, &data, &view, "a huge share");
+    }
+}
+
+/// Pictures of the meshes of a slow flight, all from one place: they differ by the mesh alone.
+fn pictures(data: &TempDataset, morph: f64, frames: u32) -> Vec<image::RgbaImage> {
+    let gpu = Gpu::headless().unwrap_or_else(|error| panic!("{error}"));
+    let manifest = data.dataset.manifest();
+    let output = Output::image(4);
+    let mut scene = Scene::new(&gpu, &manifest.georef, manifest.height_range, output);
+    let mut feed = Feed::with_options(&data.dataset, options(morph));
+    let mut params = DrawParams::new(View {
+        viewport_px: [640, 360],
+        ..slow(0, 4.0)
+    });
+    params.wireframe = false;
+    let draw = |frame| {
+        feed.converge(&slow(frame, 4.0));
+        feed.tree.triangulate();
+        scene.sync(feed.tree.meshes());
+        render_to_image(&gpu, &mut scene, &params).unwrap_or_else(|error| panic!("{error}"))
+    };
+    (0..frames).map(draw).collect()
+}
+
+/// Pixels whose colour changes by more than so many steps of 255 from one picture to the next.
+fn changed(pictures: &[image::RgbaImage], steps: u8) -> u64 {
+    let pairs = pictures.windows(2);
+    let count = |pair: &[image::RgbaImage]| {
+        let pixels = pair[0].pixels().zip(pair[1].pixels());
+        let off = |(a, b): &(&image::Rgba<u8>, &image::Rgba<u8>)| {
+            (0..3).any(|c| a.0[c].abs_diff(b.0[c]) > steps)
+        };
+        pixels.filter(off).count() as u64
+    };
+    pairs.map(count).sum()
+}
+
+#[test]
+fn pictures_of_a_slow_flight_change_little_by_little() {
+    let data = TempDataset::of(257, 257, hills);
+    let (with, without) = (pictures(&data, 0.25, 40), pictures(&data, 0.0, 40));
+    for steps in [1, 2, 4, 8, 16, 32] {
+        println!(
+            "{steps}: {} with, {} without",
+            changed(&with, steps),
+            changed(&without, steps)
+        );
+    }
+    if let Some(folder) = std::env::var_os("ESCARP_PICTURES") {
+        let folder = std::path::PathBuf::from(folder);
+        with[0].save(folder.join("with.png")).expect("a picture");
+        without[0]
+            .save(folder.join("without.png"))
+            .expect("a picture");
     }
 }

@@ -51,7 +51,7 @@ pub const MORPH_SHARES: [f64; 2] = [0.01, 4.0];
 pub const DEFAULT_MORPH: f64 = 0.1;
 
 /// A weight may lag behind the eye by this share of the way from 0 to 1.
-const LAG: f64 = 1.0 / 64.0;
+const LAG: f64 = 1.0 / 32.0;
 
 /// Weights by sample: 0 for a vertex that is not enabled, else 1 to 255 for a weight of 0 to 1. The
 /// last place belongs to [`order::NOWHERE`].
@@ -73,6 +73,8 @@ struct Known {
     side: Weights,
     /// The weights: on a border the larger of both sides'.
     all: Weights,
+    /// Lowest and highest of the page's bounds without offsets, metres.
+    span_m: [f64; 2],
 }
 
 /// A page.
@@ -227,10 +229,12 @@ impl Morph {
             Some(known) if known.own == own => return,
             Some(known) => known.own = own,
             known @ None => {
+                let bounds = &surface.node(index).mesh.bounds;
                 *known = Some(Box::new(Known {
                     own,
                     side: NONE,
                     all: NONE,
+                    span_m: [bounds.min[2], bounds.max[2]],
                 }));
             }
         }

@@ -45,41 +45,35 @@ impl Morph {
         let Some(known) = &place.known else {
             return false;
         };
-        let offsets = match known.all[ROOT_CENTRE] {
-            0 => None,
-            _ => offsets(surface, index, &known.all),
+        let (any, span_m) = (known.all[ROOT_CENTRE] > 0, known.span_m);
+        let offsets = match any {
+            true => offsets(surface, index, &known.all),
+            false => None,
         };
-        if known.all[ROOT_CENTRE] == 0 {
+        if !any {
             place.known = None;
         }
         let mesh = &surface.node(index).mesh;
         if mesh.offsets.as_deref() == offsets.as_ref().map(|offsets| &offsets[..]) {
             return false;
         }
-        show(surface, index, offsets);
+        show(surface, index, offsets, span_m);
         true
     }
 }
 
 /// Gives a page's mesh its offsets, and bounds that hold them.
-fn show(surface: &mut Surface, index: Index, offsets: Option<Offsets>) {
-    let node = surface.node(index);
-    let [x, y] = node.mesh.origin;
-    let cells = surface.grid.square_cells(node.page.id().level());
-    let range = node.bounds.box_error(0, 0, 0).range;
-    let mut bounds = surface
-        .georef
-        .world_box([x, x + cells], [y, y + cells], range);
+fn show(surface: &mut Surface, index: Index, offsets: Option<Offsets>, span_m: [f64; 2]) {
     let all = offsets.iter().flatten();
     let (low, high) = all.fold((0.0f32, 0.0f32), |(low, high), &offset| {
         (low.min(offset), high.max(offset))
     });
-    bounds.min[2] += f64::from(low) * surface.georef.quantum_m;
-    bounds.max[2] += f64::from(high) * surface.georef.quantum_m;
+    let [low_m, high_m] = [low, high].map(|quanta| f64::from(quanta) * surface.georef.quantum_m);
     surface.stamps += 1;
     let stamp = surface.stamps;
     let mesh = &mut surface.node_mut(index).mesh;
-    mesh.bounds = bounds;
+    mesh.bounds.min[2] = span_m[0] + low_m;
+    mesh.bounds.max[2] = span_m[1] + high_m;
     mesh.offsets = offsets.map(Vec::from);
     mesh.offset_stamp = stamp;
 }
