@@ -78,12 +78,9 @@ impl Surface {
                     .iter()
                     .all(|&corner| node.page.is_valid(corner as usize));
                 let drawn = valid && leaf.kind != escarp_proto::page::Kind::Empty;
-                let offset = |corner: u16| {
-                    let offsets = node.mesh.offsets.as_ref();
-                    offsets.map_or(0.0, |offsets| offsets[corner as usize])
-                };
                 let displayed = leaf.corners.map(|corner| {
-                    f64::from(node.page.height(corner as usize)) + f64::from(offset(corner))
+                    let corner = corner as usize;
+                    f64::from(node.page.height(corner)) + node.mesh.rise(corner)
                 });
                 visit(SurfaceTriangle { corners, drawn }, displayed);
             });

@@ -37,7 +37,7 @@ pub use contradiction::Contradiction;
 pub use frustum::Frustum;
 pub use mesher::{BLOCK_LEVELS, MeshOptions, MeshOptionsError, MesherKind, Metric, SPLIT_RATIOS};
 pub use morph::{DEFAULT_MORPH, MORPH_SHARES};
-pub use page_mesh::{PageMesh, Vertex};
+pub use page_mesh::{Offset, PageMesh, Vertex};
 pub use surface::LinkError;
 pub use tree::{MeshTree, UpdateStats};
 pub use wants::Wish;

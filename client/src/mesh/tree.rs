@@ -173,7 +173,11 @@ impl MeshTree {
 
     /// Triangulates what changed since the last time. Triangles of the whole mesh.
     pub fn triangulate(&mut self) -> u64 {
-        self.surface.triangulate()
+        let triangles = self.surface.triangulate();
+        if let Some(morph) = &mut self.morph {
+            morph.turn(&mut self.surface);
+        }
+        triangles
     }
 
     /// All vertices with any state, sorted.

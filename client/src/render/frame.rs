@@ -4,7 +4,7 @@ use super::eye::EyeFrame;
 use super::gpu::Gpu;
 use super::scene::DrawParams;
 use super::target::{DEPTH_FORMAT, Output};
-use crate::mesh::Vertex;
+use crate::mesh::{Offset, Vertex};
 use bytemuck::{Pod, Zeroable};
 use escarp_proto::georef::{Georef, Plane};
 use glam::{DVec3, Vec3};
@@ -290,9 +290,10 @@ fn instance_layout() -> wgpu::VertexBufferLayout<'static> {
 }
 
 fn offset_layout() -> wgpu::VertexBufferLayout<'static> {
-    const ATTRIBUTES: [wgpu::VertexAttribute; 1] = wgpu::vertex_attr_array![4 => Float32];
+    const ATTRIBUTES: [wgpu::VertexAttribute; 2] =
+        wgpu::vertex_attr_array![4 => Float32, 5 => Snorm16x2];
     wgpu::VertexBufferLayout {
-        array_stride: size_of::<f32>() as u64,
+        array_stride: size_of::<Offset>() as u64,
         step_mode: wgpu::VertexStepMode::Vertex,
         attributes: &ATTRIBUTES,
     }

@@ -2,7 +2,7 @@
 
 use super::gpu::Gpu;
 use super::pool::{Pool, Run, Staging, Twin};
-use crate::mesh::{PageMesh, Vertex};
+use crate::mesh::{Offset, PageMesh, Vertex};
 use escarp_proto::geometry::{PAGE_SAMPLES, PageId};
 use escarp_proto::georef::WorldBox;
 use std::collections::HashMap;
@@ -239,11 +239,11 @@ impl Pages {
         if self.offsets.is_none() && mesh.offsets.is_none() {
             return;
         }
-        let unit = PAGE_VERTICES * size_of::<f32>();
+        let unit = PAGE_VERTICES * size_of::<Offset>();
         let new = || Twin::new("page offsets", wgpu::BufferUsages::VERTEX, unit as u32);
         let twin = self.offsets.get_or_insert_with(new);
         twin.follow(&self.gpu, &self.vertices);
-        let none = [0.0; PAGE_VERTICES];
+        let none = [Offset::default(); PAGE_VERTICES];
         let offsets = mesh.offsets.as_deref().unwrap_or(&none);
         let bytes = bytemuck::cast_slice(offsets);
         self.staging.put_beside(&self.gpu, twin, run, bytes);

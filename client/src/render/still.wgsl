@@ -10,3 +10,8 @@ struct Page {
 fn quanta_above(height: i32, base: i32, page: Page) -> f32 {
     return f32(height - base);
 }
+
+// The x and y of a vertex's normal.
+fn displayed_normal(normal: vec2f, page: Page) -> vec2f {
+    return normal;
+}

@@ -36,6 +36,7 @@ mod order;
 mod ramp;
 mod spread;
 
+use super::page_mesh::Offset;
 use super::place::PageSquare;
 use super::sight::Sight;
 use super::surface::{Index, Surface};
@@ -88,6 +89,8 @@ struct Place {
     threshold: f64,
     /// It is in the list that is being worked off.
     listed: bool,
+    /// Stamps of its vertices, its offsets, and the offsets above, when normals were turned.
+    turned: [u64; 3],
 }
 
 /// The morph of a surface.
@@ -142,7 +145,7 @@ impl Morph {
     /// Memory that it takes, bytes.
     pub(super) fn memory_bytes(&self) -> usize {
         let known = self.places.iter().filter(|place| place.known.is_some());
-        known.count() * (size_of::<Known>() + PAGE_AREA * size_of::<f32>())
+        known.count() * (size_of::<Known>() + PAGE_AREA * size_of::<Offset>())
             + self.places.len() * size_of::<Place>()
     }
 
