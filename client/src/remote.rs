@@ -56,8 +56,9 @@ impl Default for ClientOptions {
 impl ClientOptions {
     /// The governor of those budgets that a mesher does not keep by itself.
     fn governor(&self) -> Governor {
+        let left = (self.mesh.max_triangles).filter(|_| !self.mesh.mesher.keeps_triangles());
         Governor::new(Budgets {
-            max_triangles: self.mesh.max_triangles.map(u64::from),
+            max_triangles: left.map(u64::from),
             max_ms: self.max_ms,
         })
     }

@@ -13,7 +13,7 @@ pub struct Feed<'a> {
 }
 
 impl<'a> Feed<'a> {
-    /// A tree without pages.
+    /// A tree without pages, with the default mesher.
     pub fn new(dataset: &'a Dataset) -> Self {
         Feed::with_options(dataset, MeshOptions::default())
     }

@@ -21,4 +21,5 @@ pub mod liar;
 
 pub mod programs;
 
+pub mod peers;
 pub mod report;

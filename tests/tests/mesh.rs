@@ -1,6 +1,6 @@
 //! The mesh tree over real datasets: cracks, bounds, history.
 
-use escarp_client::mesh::MeshTree;
+use escarp_client::mesh::{MeshOptions, MeshTree, MesherKind};
 use escarp_proto::view::View;
 use escarp_tests::feed::Feed;
 use escarp_tests::measure::{check_cracks, measure};
@@ -16,6 +16,13 @@ fn view(eye_m: [f64; 3], look_m: [f64; 3], error_px: f32) -> View {
         fov_y: 1.0,
         viewport_px: [1280, 720],
         max_screen_error_px: error_px,
+    }
+}
+
+fn by(mesher: MesherKind) -> MeshOptions {
+    MeshOptions {
+        mesher,
+        ..MeshOptions::default()
     }
 }
 
@@ -53,12 +60,13 @@ fn views(error_px: f32) -> Vec<View> {
     .to_vec()
 }
 
-#[test]
-fn the_bound_holds_at_every_sample_of_every_terrain_at_1_2_and_8_px() {
+/// For the meshers that keep the tolerance.
+fn the_bound_holds_at_every_sample(mesher: MesherKind) {
+    assert!(mesher.keeps_tolerance());
     for (name, data) in &terrains() {
         for error_px in [1.0, 2.0, 8.0] {
             for view in views(error_px) {
-                let mut feed = Feed::new(&data.dataset);
+                let mut feed = Feed::with_options(&data.dataset, by(mesher));
                 let stats = feed.converge(&view);
                 assert!(stats.excess <= 1.0, "{name}: {} tolerances", stats.excess);
                 let found = measure(&feed.tree, data, &view, false);
@@ -77,11 +85,21 @@ fn the_bound_holds_at_every_sample_of_every_terrain_at_1_2_and_8_px() {
 }
 
 #[test]
-fn while_pages_are_missing_there_is_no_crack_and_the_stated_bound_holds() {
+fn the_bound_holds_at_every_sample_of_every_terrain_at_1_2_and_8_px() {
+    the_bound_holds_at_every_sample(MesherKind::Quadtree);
+}
+
+#[test]
+fn with_roam_the_bound_holds_at_every_sample_of_every_terrain_at_1_2_and_8_px() {
+    the_bound_holds_at_every_sample(MesherKind::Roam);
+}
+
+/// Pages come one at a time, in no order.
+fn there_is_no_crack_and_the_stated_bound_holds(mesher: MesherKind) {
     for (name, data) in &terrains() {
         let cells = data.dataset.grid().cells_per_side();
         for (i, view) in views(1.0).into_iter().enumerate() {
-            let mut feed = Feed::new(&data.dataset);
+            let mut feed = Feed::with_options(&data.dataset, by(mesher));
             for step in 0..400u32 {
                 let stats = feed.tree.update(&view);
                 check_cracks(&feed.tree, cells).unwrap_or_else(|why| panic!("{name}: {why}"));
@@ -91,16 +109,28 @@ fn while_pages_are_missing_there_is_no_crack_and_the_stated_bound_holds() {
                         found.largest <= stats.excess.max(1.0) + 1e-9,
                         "{name}: {found:?} {stats:?}"
                     );
+                    feed.tree
+                        .check(&view)
+                        .unwrap_or_else(|why| panic!("{name}: {why}"));
                 }
                 let wishes = feed.tree.wishes();
                 if wishes.is_empty() {
                     break;
                 }
-                // One at a time, in no order.
                 feed.grant(&wishes[hash(step, i as u32) as usize % wishes.len()]);
             }
         }
     }
+}
+
+#[test]
+fn while_pages_are_missing_there_is_no_crack_and_the_stated_bound_holds() {
+    there_is_no_crack_and_the_stated_bound_holds(MesherKind::Quadtree);
+}
+
+#[test]
+fn with_roam_while_pages_are_missing_there_is_no_crack_and_the_stated_bound_holds() {
+    there_is_no_crack_and_the_stated_bound_holds(MesherKind::Roam);
 }
 
 /// A flight with jumps, pages arriving late and being evicted.
@@ -134,29 +164,48 @@ fn wander(feed: &mut Feed<'_>, name: &str, cells: u32, steps: u32, seed: u32) ->
             feed.tree.evict(hash(step, seed + 4) as usize % 800_000);
         }
         feed.tree.update(&last);
+        feed.tree
+            .check(&last)
+            .unwrap_or_else(|why| panic!("{name} step {step}: {why}"));
         check_cracks(&feed.tree, cells).unwrap_or_else(|why| panic!("{name} step {step}: {why}"));
     }
     last
 }
 
-#[test]
-fn flags_and_counts_follow_from_view_and_pages_alone_after_any_flight() {
+fn flags_and_counts_follow_from_view_and_pages(mesher: MesherKind) {
     for (name, data) in &terrains() {
         let cells = data.dataset.grid().cells_per_side();
         for seed in 0..6 {
-            let mut feed = Feed::new(&data.dataset);
+            let mut feed = Feed::with_options(&data.dataset, by(mesher));
             let last = wander(&mut feed, name, cells, 60, seed * 100);
-            let mut anew =
-                MeshTree::new(data.dataset.grid(), data.dataset.manifest().georef.clone());
-            let mut pages: Vec<_> = feed.tree.pages().cloned().collect();
-            pages.sort_by_key(|page| page.id().key());
-            for page in pages {
-                anew.link(page).unwrap();
-            }
-            anew.update(&last);
+            let anew = anew(&feed, data, &last);
             assert_eq!(feed.tree.flags(), anew.flags(), "{name}, seed {seed}");
         }
     }
+}
+
+#[test]
+fn flags_and_counts_follow_from_view_and_pages_alone_after_any_flight() {
+    flags_and_counts_follow_from_view_and_pages(MesherKind::Quadtree);
+}
+
+#[test]
+fn with_roam_flags_and_counts_follow_from_view_and_pages_alone_after_any_flight() {
+    flags_and_counts_follow_from_view_and_pages(MesherKind::Roam);
+}
+
+/// Another tree with the same pages, updated for a view from nothing.
+fn anew(feed: &Feed<'_>, data: &TempDataset, view: &View) -> MeshTree {
+    let manifest = data.dataset.manifest();
+    let (grid, georef) = (data.dataset.grid(), manifest.georef.clone());
+    let mut anew = MeshTree::with_options(grid, georef, *feed.tree.options());
+    let mut pages: Vec<_> = feed.tree.pages().cloned().collect();
+    pages.sort_by_key(|page| page.id().key());
+    for page in pages {
+        anew.link(page).unwrap();
+    }
+    anew.update(view);
+    anew
 }
 
 #[test]

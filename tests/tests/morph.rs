@@ -1,7 +1,7 @@
 //! The mesh as it is displayed while vertices come and go gradually: the promise, cracks, jumps,
 //! and the average of meshes that it is.
 
-use escarp_client::mesh::{MeshOptions, MeshTree};
+use escarp_client::mesh::{MeshOptions, MeshTree, MesherKind};
 use escarp_client::render::{DrawParams, Gpu, Output, Scene, render_to_image};
 use escarp_proto::view::View;
 use escarp_tests::displayed::{
@@ -129,9 +129,18 @@ fn flight(seed: u32, steps: u32) -> impl Iterator<Item = View> {
 
 #[test]
 fn the_displayed_mesh_keeps_the_promise_on_the_way() {
-    for (seed, (name, data)) in (0..).zip(&terrains()) {
-        let mut feed = Feed::with_options(&data.dataset, options(0.25));
-        for (step, view) in flight(seed * 100, 30).enumerate() {
+    let meshers = [MesherKind::Quadtree, MesherKind::Roam];
+    let terrains = terrains();
+    let cases = terrains
+        .iter()
+        .flat_map(|case| meshers.map(|mesher| (mesher, case)));
+    for (seed, (mesher, (name, data))) in (0..).zip(cases) {
+        let options = MeshOptions {
+            mesher,
+            ..options(0.25)
+        };
+        let mut feed = Feed::with_options(&data.dataset, options);
+        for (step, view) in flight(seed * 100, 20).enumerate() {
             check(
                 &mut feed,
                 data,
@@ -214,10 +223,15 @@ fn slow(frame: u32, error_px: f32) -> View {
 
 /// Largest jump of the displayed surface at any sample between two frames of a slow flight, in
 /// tolerances, and how many jumps there were of more than a tenth.
-fn largest_jump(data: &TempDataset, morph: f64, frames: u32, error_px: f32) -> (f64, u64) {
+fn largest_jump(
+    data: &TempDataset,
+    options: MeshOptions,
+    frames: u32,
+    error_px: f32,
+) -> (f64, u64) {
     let georef = &data.dataset.manifest().georef;
     let samples = data.dataset.manifest().samples;
-    let mut feed = Feed::with_options(&data.dataset, options(morph));
+    let mut feed = Feed::with_options(&data.dataset, options);
     let mut before: Option<Vec<f64>> = None;
     let (mut largest, mut many) = (0.0f64, 0);
     for frame in 0..frames {
@@ -251,9 +265,16 @@ fn in_a_slow_flight_nothing_jumps_by_more_than_a_twentieth_of_the_tolerance() {
         ("hills", TempDataset::of(side, side, hills), 100),
         ("noise", TempDataset::of(side, side, noise), 1),
     ] {
+        let roam = MeshOptions {
+            mesher: MesherKind::Roam,
+            ..options(0.25)
+        };
+        let (with, _) = largest_jump(&data, roam, 60, 4.0);
+        println!("{name} 4 px, roam: {with}");
+        assert!(with <= 0.05, "{name}, roam: {with}");
         for error_px in [1.0, 4.0] {
-            let (with, _) = largest_jump(&data, 0.25, 60, error_px);
-            let (without, many) = largest_jump(&data, 0.0, 60, error_px);
+            let (with, _) = largest_jump(&data, options(0.25), 60, error_px);
+            let (without, many) = largest_jump(&data, options(0.0), 60, error_px);
             println!("{name} {error_px} px: {with} with, {without} without ({many} jumps)");
             assert!(with <= 0.05, "{name} {error_px} px: {with}");
             let jumps = if error_px > 1.0 { jumps } else { 0 };
@@ -351,6 +372,8 @@ fn pictures_of_a_slow_flight_change_little_by_little() {
             changed(&without, steps)
         );
     }
+    let many = [&with, &without].map(|pictures| changed(pictures, 8));
+    assert!(many[1] > 50 && many[0] * 4 < many[1], "{many:?}");
     if let Some(folder) = std::env::var_os("ESCARP_PICTURES") {
         let folder = std::path::PathBuf::from(folder);
         with[0].save(folder.join("with.png")).expect("a picture");

@@ -184,6 +184,7 @@ impl MeshArgs {
             mesher: self.mesher,
             metric: self.metric,
             max_triangles: self.max_triangles,
+            max_changes: None,
             split_ratio: self.split_ratio,
             level: self.level,
             morph: self.morph,

@@ -4,6 +4,7 @@ use super::distance::Distance;
 use super::levels::Levels;
 use super::morph::{MORPH_SHARES, Morph};
 use super::quadtree::Quadtree;
+use super::roam::Roam;
 use super::surface::{Index, Surface};
 use escarp_proto::view::View;
 use std::fmt::{self, Debug, Display};
@@ -32,6 +33,25 @@ pub(super) trait Mesher: Debug + Send + Sync {
 
     /// A page has gone; none of its vertices was enabled, and another may take its index.
     fn unlinked(&mut self, page: Index);
+
+    /// Whether it wants to know which vertices are enabled and disabled (`Surface::take_flips`).
+    fn follows_flips(&self) -> bool {
+        false
+    }
+
+    /// Memory that it takes, bytes, near enough for a cap.
+    fn memory_bytes(&self) -> usize {
+        0
+    }
+
+    /// Holds what it keeps from update to update against a recomputation, after an update for
+    /// this view.
+    ///
+    /// # Errors
+    /// What differs.
+    fn check(&self, _: &Surface, _: &View) -> Result<(), String> {
+        Ok(())
+    }
 }
 
 /// What a mesher found.
@@ -50,6 +70,9 @@ pub enum MesherKind {
     /// Ulrich's adaptive quadtree (2000), by bounds that hold.
     #[default]
     Quadtree,
+    /// ROAM (Duchaineau et al., 1997; Turner, 2000), by the same bounds: the same mesh, but decided
+    /// triangle by triangle, and able to keep to a number of triangles.
+    Roam,
     /// Squares split by the ratio of distance to size alone.
     Distance,
     /// Blocks of fixed levels, chosen or by distance.
@@ -60,6 +83,7 @@ impl MesherKind {
     /// All of them.
     pub const ALL: &[MesherKind] = &[
         MesherKind::Quadtree,
+        MesherKind::Roam,
         MesherKind::Distance,
         MesherKind::Levels,
     ];
@@ -68,6 +92,7 @@ impl MesherKind {
     pub const fn name(self) -> &'static str {
         match self {
             MesherKind::Quadtree => "quadtree",
+            MesherKind::Roam => "roam",
             MesherKind::Distance => "distance",
             MesherKind::Levels => "levels",
         }
@@ -75,7 +100,12 @@ impl MesherKind {
 
     /// Whether its converged mesh is within the tolerance.
     pub const fn keeps_tolerance(self) -> bool {
-        matches!(self, MesherKind::Quadtree)
+        matches!(self, MesherKind::Quadtree | MesherKind::Roam)
+    }
+
+    /// Whether it keeps to [`MeshOptions::max_triangles`] by itself.
+    pub const fn keeps_triangles(self) -> bool {
+        matches!(self, MesherKind::Roam)
     }
 }
 
@@ -143,6 +173,9 @@ pub struct MeshOptions {
     /// Share of the tolerance over which vertices come and go gradually, in [`MORPH_SHARES`]; 0 is
     /// off. For meshers that keep the tolerance; others take no notice of it.
     pub morph: f64,
+    /// Vertices after whose change an update leaves the rest to the next one, for the meshers that
+    /// can go on there.
+    pub max_changes: Option<u32>,
     /// Ratio of distance to size within which `distance` and `levels` split, in [`SPLIT_RATIOS`];
     /// `None`: it follows the tolerance.
     pub split_ratio: Option<f64>,
@@ -204,6 +237,7 @@ impl MeshOptions {
     pub(super) fn mesher(&self) -> Box<dyn Mesher> {
         match self.mesher {
             MesherKind::Quadtree => Box::new(Quadtree::new(self)),
+            MesherKind::Roam => Box::new(Roam::new(self)),
             MesherKind::Distance => Box::new(Distance::new(self)),
             MesherKind::Levels => Box::new(Levels::new(self)),
         }

@@ -23,6 +23,7 @@ mod morph;
 mod page_mesh;
 mod place;
 mod quadtree;
+mod roam;
 mod sight;
 mod size;
 mod standing;

@@ -4,7 +4,7 @@
 use super::contradiction::{Contradiction, Known};
 use super::page_mesh::PageMesh;
 use super::place::PageSquare;
-use super::vertices::VertexState;
+use super::vertices::{VertexRef, VertexState};
 use super::wants::Wishes;
 use escarp_proto::geometry::{Edge, GridLevels, PAGE_SAMPLES, PageId, Slot};
 use escarp_proto::georef::Georef;
@@ -99,6 +99,9 @@ pub(super) struct Surface {
     pub(super) updates: u64,
     pub(super) changes: u64,
     pub(super) stamps: u64,
+    /// Vertices enabled (`true`) and disabled since they were taken, in order; `None` if nobody
+    /// asks.
+    pub(super) flips: Option<Vec<(VertexRef, bool)>>,
 }
 
 impl Surface {
@@ -114,6 +117,7 @@ impl Surface {
             updates: 0,
             changes: 0,
             stamps: 0,
+            flips: None,
         }
     }
 
@@ -339,6 +343,24 @@ impl Surface {
         }
         let slot = Slot::at(child.column as usize, child.row as usize);
         self.child(index, slot).map(|page| (page, PageSquare::ROOT))
+    }
+
+    /// Which vertices were enabled and disabled since the last time, of the two that are one across
+    /// a border only one. They are to be given back emptied, for their room.
+    pub(super) fn take_flips(&mut self) -> Vec<(VertexRef, bool)> {
+        self.flips.as_mut().map(std::mem::take).unwrap_or_default()
+    }
+
+    pub(super) fn give_back_flips(&mut self, emptied: Vec<(VertexRef, bool)>) {
+        if let Some(flips) = self.flips.as_mut().filter(|flips| flips.is_empty()) {
+            *flips = emptied;
+        }
+    }
+
+    /// Notes that a page is of use now.
+    pub(super) fn touch(&mut self, page: Index) {
+        let now = self.updates;
+        self.node_mut(page).last_use = now;
     }
 
     /// A page that needs no record, as the page above has it; `None` if it is resident already.

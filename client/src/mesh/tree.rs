@@ -42,11 +42,14 @@ impl MeshTree {
 
     /// A tree without pages.
     pub fn with_options(grid: GridLevels, georef: Georef, options: MeshOptions) -> MeshTree {
+        let mesher = options.mesher();
+        let mut surface = Surface::new(grid, georef);
+        surface.flips = mesher.follows_flips().then(Vec::new);
         MeshTree {
-            surface: Surface::new(grid, georef),
-            mesher: options.mesher(),
+            surface,
             morph: options.morph(),
             options,
+            mesher,
         }
     }
 
@@ -78,7 +81,7 @@ impl MeshTree {
     /// Memory that the pages take, bytes, near enough for a cap.
     pub fn memory_bytes(&self) -> usize {
         let morph = self.morph.as_ref().map_or(0, Morph::memory_bytes);
-        self.surface.memory_bytes() + morph
+        self.surface.memory_bytes() + self.mesher.memory_bytes() + morph
     }
 
     /// Links a page whose parent is resident, or more parts of one that is linked.
@@ -183,6 +186,15 @@ impl MeshTree {
     /// All vertices with any state, sorted.
     pub fn flags(&self) -> Vec<VertexFlags> {
         self.surface.flags()
+    }
+
+    /// Holds what the mesher keeps from update to update against a recomputation, after an update
+    /// for this view: for tests.
+    ///
+    /// # Errors
+    /// What differs.
+    pub fn check(&self, view: &View) -> Result<(), String> {
+        self.mesher.check(&self.surface, view)
     }
 
     /// Visits every triangle of the mesh, those in holes included: together they cover the grid.

@@ -210,6 +210,9 @@ impl Surface {
     /// Sets the enabled flag on both sides, and marks what has to be triangulated again.
     fn flag(&mut self, vertex: VertexRef, enabled: bool) {
         self.changes += 1;
+        if let Some(flips) = &mut self.flips {
+            flips.push((vertex, enabled));
+        }
         for (index, sample) in [Some(vertex), self.mirror(vertex)].into_iter().flatten() {
             let node = self.node_mut(index);
             node.vertices[sample as usize].enabled = enabled;

@@ -298,3 +298,107 @@ fn offset_layout() -> wgpu::VertexBufferLayout<'static> {
         attributes: &ATTRIBUTES,
     }
 }
+
+#[cfg(test)]
+mod unit {
+    use super::*;
+    use crate::app::fake::manifest;
+    use crate::mesh::Vertex;
+    use crate::render::DrawParams;
+    use escarp_proto::geometry::GridLevels;
+    use escarp_proto::view::View;
+    use proptest::prelude::*;
+
+    fn georef(spacing: [f64; 2], quantum_m: f64, origin_m: [f64; 2]) -> Georef {
+        Georef {
+            origin_m,
+            sample_spacing_m: spacing,
+            quantum_m,
+            plane: Plane::Local,
+        }
+    }
+
+    /// A power of ten, which makes the extremes as likely as what is usual.
+    fn scale(range: std::ops::RangeInclusive<i32>) -> impl Strategy<Value = f64> {
+        range.prop_map(|power| 10f64.powi(power))
+    }
+
+    fn floats(frame: &FrameUniform) -> Vec<f32> {
+        let mut floats = frame.clip_from_eye.concat();
+        let vectors = [
+            frame.right,
+            frame.up,
+            frame.forward,
+            frame.sun,
+            frame.spacing,
+            frame.remainder,
+            frame.range,
+            frame.air,
+        ];
+        floats.extend(vectors.concat());
+        floats
+    }
+
+    proptest! {
+        #[test]
+        fn no_view_and_no_manifest_put_anything_but_numbers_into_a_buffer(
+            levels in prop::sample::select(vec![4u8, 8, 28]),
+            spacing in [scale(-9..=9), scale(-9..=9)], quantum in scale(-9..=9),
+            origin in [prop::num::f64::NORMAL, prop::num::f64::NORMAL],
+            heights in [-(1i32 << 30)..=0, 0..=1 << 30],
+            eye in [any::<f64>(), any::<f64>(), prop::num::f64::ANY], far in scale(-3..=12),
+            direction in prop::array::uniform3(prop::num::f32::ANY),
+            fov_y in prop::num::f32::ANY, viewport_px in [any::<u32>(), any::<u32>()],
+            exaggeration in prop::num::f32::ANY, sun in prop::array::uniform3(prop::num::f32::ANY),
+        ) {
+            let grid = GridLevels::new(levels).unwrap();
+            let origin = origin.map(|v| v % 1e12);
+            let georef = georef(spacing, quantum, origin);
+            let manifest = manifest(grid, 1, heights, georef.clone());
+            prop_assume!(manifest.check().is_ok());
+            for eye_m in [eye, eye.map(|v| v % far), [far, -far, far]] {
+                let params = DrawParams {
+                    exaggeration,
+                    sun,
+                    ..DrawParams::new(View {
+                        eye_m,
+                        direction,
+                        velocity_m_s: [0.0; 3],
+                        fov_y,
+                        viewport_px,
+                        max_screen_error_px: 1.0,
+                    })
+                };
+                let (params, _) = params.clamped();
+                let eye = EyeFrame::of(&params.view, &georef, params.exaggeration);
+                let body = Body::of(&georef, manifest.height_range);
+                let output = Output::image(1);
+                let frame = FrameUniform::new(&eye, &body, &params, output);
+                let floats = floats(&frame);
+                prop_assert!(floats.iter().all(|v| v.is_finite()), "{:?}", frame.clip_from_eye);
+                let cells = grid.cells_per_side();
+                for [x, y] in [[0, 0], [cells, cells]] {
+                    let [dx, dy] = eye.relative([x, y]);
+                    for height in heights {
+                        let steps = Vec3::new(dx as f32, dy as f32, (height - eye.height) as f32);
+                        let place = steps * eye.spacing_m - eye.remainder_m;
+                        // Squares of distances are numbers, too.
+                        prop_assert!(place.length_squared().is_finite(), "{place}");
+                    }
+                }
+            }
+        }
+
+        #[test]
+        fn the_normal_of_any_slope_is_one(
+            height in any::<i32>(), rise in -(1i64 << 31)..=1 << 31,
+            quantum in scale(-9..=3), spacing in scale(-9..=9),
+        ) {
+            let slope = rise as f64 * quantum / spacing;
+            let flat = Vertex::on_slope(height, 0.0, 0.0);
+            prop_assert_eq!(flat.normal, [0, 0]);
+            let vertex = Vertex::on_slope(height, slope, -slope);
+            prop_assert_eq!(vertex.normal[0], -vertex.normal[1]);
+        }
+    }
+}

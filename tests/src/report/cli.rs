@@ -32,7 +32,7 @@ pub struct Cli {
     /// Meshers, each with `:local` for the article's metric; default: all there are
     #[arg(long, value_name = "NAME,...", value_delimiter = ',')]
     meshers: Vec<Variant>,
-    /// Tolerances, pixels; default: 0.5,1,2,4,8,16,32, quick 1,4,16
+    /// Tolerances, pixels; default: 0.5,1,2,4,8,16,32, quick 1,2,4,16
     #[arg(long, value_name = "PX,...", value_delimiter = ',')]
     error_px: Vec<f32>,
     /// Lines for cold starts: bandwidth and delay of one way; default: 1Mbit/s@50ms,

@@ -99,7 +99,7 @@ pub fn conduct(
             let run = sweep::run(&surface, &windows, variant, px, plan.repeats);
             keep(&mut report.runs, &mut report.skipped, what, run);
         }
-        report.singles(dataset, &windows, variant, progress);
+        report.singles(&surface, &windows, variant, progress);
     }
     let last_s = windows.frames().last().map_or(0.0, |frame| frame.time_s);
     let view = windows.view(last_s, report.reference_px);
@@ -118,7 +118,7 @@ impl Report {
     /// What is measured at the reference tolerance alone.
     fn singles(
         &mut self,
-        dataset: &Dataset,
+        surface: &FullSurface<'_>,
         windows: &Windows,
         variant: Variant,
         progress: &dyn Fn(&str),
@@ -126,12 +126,13 @@ impl Report {
         let px = self.reference_px;
         let what = format!("{variant}, slow flight");
         progress(&what);
+        let dataset = surface.dataset;
         let pops = pop::measure(dataset, &windows.flight, variant, px, self.plan.slow_steps);
         keep(&mut self.pops, &mut self.skipped, what, pops);
         let what = format!("{variant}, what is left out");
         progress(&what);
         let last_s = windows.frames().last().map_or(0.0, |frame| frame.time_s);
-        let out = leave_out::measure(dataset, variant, &windows.view(last_s, px));
+        let out = leave_out::measure(surface, variant, &windows.view(last_s, px));
         keep(&mut self.leave_out, &mut self.skipped, what, out);
     }
 

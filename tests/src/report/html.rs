@@ -47,11 +47,7 @@ pub fn page(report: &Report, sections: &[Section], svgs: &[Vec<String>]) -> Stri
             let _ = writeln!(out, "<figure>{svg}</figure>");
         }
         out.push_str("</div>\n");
-        if let Some(table) = section
-            .table
-            .as_ref()
-            .filter(|table| !table.rows.is_empty())
-        {
+        for table in section.tables.iter().filter(|table| !table.rows.is_empty()) {
             html_table(&mut out, table);
         }
         out.push_str("</section>\n");

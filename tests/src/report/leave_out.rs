@@ -1,6 +1,8 @@
 //! What a scene does not need, and what leaving it out saves.
 
 use super::measure::judge::Judge;
+use super::measure::surface::FullSurface;
+use super::measure::tally::Promise;
 use super::measure::triangles;
 use super::supply::Supply;
 use super::variant::Variant;
@@ -39,6 +41,8 @@ pub struct LeaveOut {
     pub seen_pages: u64,
     /// Triangles of the full-resolution surface, holes not counted.
     pub full_triangles: u64,
+    /// Those of them in view: two a sample in view.
+    pub full_seen_triangles: u64,
     /// Triangles of the mesh.
     pub triangles: u64,
     /// Triangles in pages that may be seen: what a renderer draws.
@@ -54,11 +58,16 @@ pub struct LeaveOut {
 /// Converges a view from nothing, and counts.
 ///
 /// # Errors
-/// Those of [`Supply::converge`].
-pub fn measure(dataset: &Dataset, variant: Variant, view: &View) -> Result<LeaveOut> {
+/// Those of [`Supply::converge`] and [`FullSurface::measure`].
+pub fn measure(surface: &FullSurface<'_>, variant: Variant, view: &View) -> Result<LeaveOut> {
+    let dataset = surface.dataset;
     let mut supply = Supply::new(dataset, variant);
-    supply.converge(view)?;
+    let converged = supply.converge(view)?;
     let tree = &supply.tree;
+    let promise = Promise::of(view.max_screen_error_px.into(), converged.stats.excess);
+    let mesh = triangles(tree);
+    let in_view = surface.measure(&mesh, view, promise)?.samples;
+    let full_triangles = full_triangles(dataset);
     let judge = Judge::new(&dataset.manifest().georef, view);
     let mut out = LeaveOut {
         mesher: variant,
@@ -71,7 +80,8 @@ pub fn measure(dataset: &Dataset, variant: Variant, view: &View) -> Result<Leave
         received_pages: 0,
         drawn_pages: 0,
         seen_pages: 0,
-        full_triangles: full_triangles(dataset),
+        full_triangles,
+        full_seen_triangles: ((2.0 * in_view).round() as u64).min(full_triangles),
         triangles: 0,
         sent_triangles: 0,
         seen_triangles: 0,
@@ -92,7 +102,7 @@ pub fn measure(dataset: &Dataset, variant: Variant, view: &View) -> Result<Leave
             out.sent_triangles += triangles;
         }
     }
-    let seen = triangles(tree).into_iter().filter(|triangle| {
+    let seen = mesh.iter().filter(|triangle| {
         let [a, b, c] = triangle
             .corners
             .map(|(x, y, z)| judge.georef().world(x, y, z));

@@ -275,7 +275,7 @@ pub fn cold_start(
                     let promise = Promise::of(asked_px, excess);
                     out.measure(&mut moment, surface, &pair, view, promise)?;
                     // Evenly on a scale of logarithms.
-                    next_measured_s = time_s * 60f64.powf(1.0 / measurements.max(1) as f64);
+                    next_measured_s = time_s * 10f64.powf(1.0 / measurements.max(1) as f64);
                 }
                 out.moments.push(moment);
                 out.bytes = bytes;

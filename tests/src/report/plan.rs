@@ -47,7 +47,7 @@ impl Plan {
         Plan {
             meshers: Variant::all(),
             errors_px: match quick {
-                true => vec![1.0, 4.0, 16.0],
+                true => vec![1.0, 2.0, 4.0, 16.0],
                 false => vec![0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0],
             },
             lines: lines.iter().map(line).collect(),
@@ -55,7 +55,7 @@ impl Plan {
             window_frames: if quick { 8 } else { 40 },
             repeats: if quick { 1 } else { 3 },
             slow_steps: if quick { 12 } else { 60 },
-            cold_measurements: if quick { 6 } else { 20 },
+            cold_measurements: if quick { 12 } else { 24 },
             cold_limit_s: 60,
             quick,
         }

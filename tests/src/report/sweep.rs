@@ -7,8 +7,12 @@ use super::measure::tally::{Promise, Tally};
 use super::measure::triangles;
 use super::supply::{Stages, Supply};
 use super::variant::Variant;
-use anyhow::Result;
+use anyhow::{Result, ensure};
 use serde::Serialize;
+use std::time::{Duration, Instant};
+
+/// Longest time that a run may take. One that takes longer is noted as not measured.
+const LONGEST: Duration = Duration::from_secs(900);
 
 /// A frame of a run.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -184,10 +188,20 @@ pub fn run(
     repeats: usize,
 ) -> Result<Run> {
     let frames = windows.frames();
+    let began = Instant::now();
+    let in_time = || {
+        let longest = LONGEST.as_secs();
+        ensure!(
+            began.elapsed() <= LONGEST,
+            "a run takes longer than {longest} s: ask for a larger error or a smaller picture"
+        );
+        Ok(())
+    };
     let mut supply = Supply::new(surface.dataset, variant);
     let mut rows = Vec::with_capacity(frames.len());
     for frame in &frames {
         rows.push(fly(&mut supply, windows, frame, error_px)?);
+        in_time()?;
     }
     let bytes = supply.bytes;
     let mut tally = Tally::default();
@@ -199,6 +213,7 @@ pub fn run(
             let (_, triangulate_ms) = timed(|| supply.tree.triangulate());
             times[i].push((update_ms, triangulate_ms));
             rows[i].squares = stats.squares;
+            in_time()?;
             if repeat == 0 && frame.measured {
                 let promise = Promise::of(f64::from(error_px), stats.excess);
                 let mesh = triangles(&supply.tree);

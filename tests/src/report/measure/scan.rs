@@ -135,7 +135,10 @@ impl Plane {
 /// Visits the grid points of a triangle that lie in an area and whose coordinates are multiples of
 /// a step. A triangle that is not counter-clockwise has none.
 pub fn scan(corners: &Corners, area: Area, step: u32, mut visit: impl FnMut(Point)) {
-    let (Some(plane), Some(area)) = (Plane::through(corners), Area::of(corners).and(area)) else {
+    let Some(area) = Area::of(corners).and(area) else {
+        return;
+    };
+    let Some(plane) = Plane::through(corners) else {
         return;
     };
     let [a, b, c] = *corners;

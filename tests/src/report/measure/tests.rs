@@ -60,6 +60,7 @@ fn the_fast_measure_finds_what_the_naive_one_finds() {
         TempDataset::of(230, 190, holed_hills),
         TempDataset::of(200, 190, cliff),
     ];
+    let mut worst_px = 0.0f64;
     for data in &terrains {
         let full = FullSurface::open(&data.dataset, u64::MAX).unwrap();
         for view in views() {
@@ -90,10 +91,12 @@ fn the_fast_measure_finds_what_the_naive_one_finds() {
                 );
                 assert!((found.px.total() - found.samples).abs() < 1e-6);
                 assert_eq!(found.crooked_edges, 0, "all crossings are samples");
-                assert!(found.rms_px() <= found.quantile_px(1.0) && found.max_px > 0.0);
+                assert!(found.rms_px() <= found.max_px);
+                worst_px = found.max_px.max(worst_px);
             }
         }
     }
+    assert!(worst_px > 0.0);
 }
 
 #[test]

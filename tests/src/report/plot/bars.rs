@@ -25,8 +25,6 @@ pub struct Bars {
     pub parts: Vec<String>,
     /// The bars, the uppermost first.
     pub bars: Vec<Bar>,
-    /// Lengths are logarithms. Only for bars of one part.
-    pub log: bool,
 }
 
 const ROW: f64 = 26.0;
@@ -42,7 +40,7 @@ impl Bars {
             .map(|(i, part)| (part.clone(), i, Style::Plain))
             .collect();
         let top = legend(&mut drawing, font, &entries) + 8.0;
-        let names = self.bars.iter().map(|bar| font.width(&bar.name, SIZE));
+        let names = self.bars.iter().map(|bar| font.room(&bar.name, SIZE));
         let frame = Frame {
             left: 24.0 + names.fold(0.0, f64::max),
             top,
@@ -51,8 +49,7 @@ impl Bars {
         };
         drawing.size[1] = frame.bottom + 50.0;
         let totals = self.bars.iter().map(|bar| bar.parts.iter().sum::<f64>());
-        let scale = if self.log { Scale::Log } else { Scale::Linear };
-        let axis = Axis::around(&self.label, scale, totals);
+        let axis = Axis::around(&self.label, Scale::Linear, totals);
         for tick in axis.ticks() {
             let x = frame.x(&axis, tick.value);
             let points = vec![[x, frame.top], [x, frame.bottom]];

@@ -9,6 +9,8 @@ use super::font::Font;
 pub enum Style {
     /// Joined, with a mark at each.
     Marked,
+    /// A mark at each.
+    Marks,
     /// Joined.
     Plain,
     /// Joined by dashes.
@@ -74,7 +76,7 @@ pub struct Chart {
     pub x: Axis,
     /// Upwards.
     pub y: Axis,
-    /// The curves, the lowest first.
+    /// The curves, the uppermost first.
     pub series: Vec<Series>,
     /// Lines to hold them against.
     pub marks: Vec<Mark>,
@@ -123,7 +125,7 @@ pub(super) fn legend(
     const GAP: f64 = 18.0;
     let (mut x, mut y) = (14.0, 44.0);
     for (name, number, style) in entries {
-        let width = KEY + 6.0 + font.width(name, SIZE) + GAP;
+        let width = KEY + 6.0 + font.room(name, SIZE) + GAP;
         if x + width - GAP > WIDTH - RIGHT && x > 14.0 {
             (x, y) = (14.0, y + 19.0);
         }
@@ -134,8 +136,10 @@ pub(super) fn legend(
             &[]
         };
         let points = vec![[x, middle], [x + KEY, middle]];
-        drawing.line(points, Ink::Series(*number), 2.2, dash);
-        if *style == Style::Marked {
+        if *style != Style::Marks {
+            drawing.line(points, Ink::Series(*number), 2.2, dash);
+        }
+        if matches!(style, Style::Marked | Style::Marks) {
             drawing.mark([x + KEY / 2.0, middle], *number, 4.0);
         }
         drawing.text([x + KEY + 6.0, y], name, SIZE, Anchor::Start, Ink::Text);
@@ -159,7 +163,7 @@ impl Chart {
         let (xs, ys) = (self.x.ticks(), self.y.ticks());
         let labels = ys.iter().filter_map(|tick| tick.label.as_deref());
         let widest = labels
-            .map(|label| font.width(label, SIZE))
+            .map(|label| font.room(label, SIZE))
             .fold(0.0, f64::max);
         let frame = Frame {
             left: 40.0 + widest,
@@ -172,7 +176,7 @@ impl Chart {
         for mark in &self.marks {
             self.mark(&mut drawing, font, frame, mark);
         }
-        for series in &self.series {
+        for series in self.series.iter().rev() {
             self.curve(&mut drawing, frame, series);
         }
         drawing
@@ -193,7 +197,7 @@ impl Chart {
             let x = frame.x(&self.x, tick.value);
             line(drawing, vec![[x, top], [x, bottom]], tick.label.is_some());
             if let Some(label) = &tick.label {
-                let half = font.width(label, SIZE) / 2.0;
+                let half = font.room(label, SIZE) / 2.0;
                 if x - half > free_from {
                     drawing.text([x, bottom + 18.0], label, SIZE, Anchor::Middle, Ink::Muted);
                     free_from = x + half + 6.0;
@@ -231,7 +235,7 @@ impl Chart {
                 let x = frame.x(&self.x, value);
                 let points = vec![[x, frame.top], [x, frame.bottom]];
                 drawing.line(points, Ink::Muted, 1.3, DASH);
-                let fits = x + 8.0 + font.width(&mark.label, SIZE) < frame.right;
+                let fits = x + 8.0 + font.room(&mark.label, SIZE) < frame.right;
                 let (x, anchor) = if fits {
                     (x + 6.0, Anchor::Start)
                 } else {
@@ -288,10 +292,10 @@ impl Chart {
             Style::Steps => steps(&places),
             _ => places.clone(),
         };
-        if line.len() > 1 {
+        if line.len() > 1 && series.style != Style::Marks {
             drawing.line(line, ink, 2.0, dash);
         }
-        if series.style == Style::Marked || places.len() == 1 {
+        if matches!(series.style, Style::Marked | Style::Marks) || places.len() == 1 {
             places
                 .iter()
                 .for_each(|&at| drawing.mark(at, series.number, 4.0));

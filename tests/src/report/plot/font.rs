@@ -58,6 +58,12 @@ impl Font {
         text.chars().map(glyph).collect()
     }
 
+    /// Room for a text in whatever font it is shown in, in the unit of its size.
+    pub fn room(&self, text: &str, size: f64) -> f64 {
+        // Of the fonts that browsers fall back to, DejaVu Sans is the widest.
+        1.16 * self.width(text, size)
+    }
+
     /// Width of a text, in the unit of its size.
     pub fn width(&self, text: &str, size: f64) -> f64 {
         let metrics = self

@@ -6,6 +6,9 @@
 //! the slot's bound of the cell's two triangles, and so does what is said of the parts to come, as
 //! both are part of what the bound was derived from.
 
+#[cfg(test)]
+mod tests;
+
 use super::surface::{Index, LinkError, Surface};
 use escarp_proto::geometry::{Edge, PAGE_CELLS, PAGE_SAMPLES, PageId, Slot};
 use escarp_proto::page::{

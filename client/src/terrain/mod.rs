@@ -5,6 +5,9 @@
 //! triangulates what changed. With a frame budget, pages for which there is no time wait on, in
 //! the order in which they came.
 
+#[cfg(test)]
+mod tests;
+
 use crate::lost::Lost;
 use crate::mesh::{LinkError, MeshOptions, MeshTree, PageMesh, Wish};
 use crate::stages::{Stage, StageTimes, Stages};
