@@ -145,9 +145,9 @@ pub(super) struct MeshArgs {
     #[arg(long, value_name = "L")]
     level: Option<u8>,
     /// Let vertices come and go gradually, over this share of the tolerance: off, on, or a share
-    /// such as 0.25; for meshers that keep the tolerance
-    #[arg(long, default_value = "off", value_parser = morph, value_name = "off|on|R")]
-    morph: f64,
+    /// such as 0.25; for meshers that keep the tolerance. Default: on in a window, else off
+    #[arg(long, value_parser = morph, value_name = "off|on|R")]
+    morph: Option<f64>,
     /// Most triangles: where there would be more, the tolerance is widened
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(TRIANGLE_BUDGETS[0] as i64..))]
     max_triangles: Option<u32>,
@@ -179,6 +179,12 @@ fn metrics() -> impl TypedValueParser<Value = Metric> {
 }
 
 impl MeshArgs {
+    /// The same for what is seen in motion: with a morph, unless something else is said.
+    pub(super) fn in_motion(mut self) -> MeshArgs {
+        self.morph.get_or_insert(DEFAULT_MORPH);
+        self
+    }
+
     fn options(&self) -> Result<MeshOptions> {
         let options = MeshOptions {
             mesher: self.mesher,
@@ -187,7 +193,7 @@ impl MeshArgs {
             max_changes: None,
             split_ratio: self.split_ratio,
             level: self.level,
-            morph: self.morph,
+            morph: self.morph.unwrap_or(0.0),
         };
         options.check()?;
         let budget = self.max_triangles.is_some() || self.max_ms.is_some();
