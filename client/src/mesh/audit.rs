@@ -1,6 +1,7 @@
 //! The state of the mesh tree laid open, for tests and reports.
 
 use super::surface::{Index, Surface};
+use super::vertices::VertexState;
 use escarp_proto::geometry::{PAGE_SAMPLES, PageId};
 
 /// State of a vertex in one page.
@@ -34,13 +35,13 @@ impl Surface {
         let mut flags = Vec::new();
         for node in self.nodes.iter().flatten() {
             for (sample, state) in node.vertices.iter().enumerate() {
-                if state.enabled || state.asked != 0 || state.dependents > 0 {
+                if *state != VertexState::default() {
                     flags.push(VertexFlags {
                         page: node.page.id(),
                         sample: sample as u16,
-                        enabled: state.enabled,
-                        asked: state.asked,
-                        dependents: state.dependents,
+                        enabled: state.is_enabled(),
+                        asked: state.asked(),
+                        dependents: state.dependents(),
                     });
                 }
             }

@@ -31,6 +31,9 @@ pub(super) trait Mesher: Debug + Send + Sync {
     /// A page is new, or has more parts than before.
     fn linked(&mut self, surface: &Surface, page: Index);
 
+    /// Makes the next update test all anew, as after a change that no one foresaw. For measuring.
+    fn forget(&mut self) {}
+
     /// A page has gone; none of its vertices was enabled, and another may take its index.
     fn unlinked(&mut self, page: Index);
 

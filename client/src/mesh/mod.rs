@@ -16,6 +16,8 @@
 mod audit;
 mod contradiction;
 mod distance;
+mod due;
+mod fans;
 mod frustum;
 mod levels;
 mod mesher;
@@ -26,6 +28,7 @@ mod quadtree;
 mod roam;
 mod sight;
 mod size;
+mod squares;
 mod standing;
 mod surface;
 mod tree;

@@ -1,93 +1,68 @@
 //! The default mesher: Ulrich's Update(), from the last state onwards (Ulrich, "Continuous LOD
 //! Terrain Meshing Using Adaptive Quadtrees", 2000), with bounds that hold.
 //!
-//! Pages in which no test can have changed since they were visited are passed over.
+//! Only what is due is tested ([`super::due`]): of the pages those whose squares, or pages below,
+//! are due, and of their squares those that are. What comes into the mesh for another's sake
+//! needs no test before that above it comes out differently: errors and boxes are nested, so the
+//! test above has passed by the smaller difference. What stands beyond the tolerance for want of
+//! data is due always.
 
+use super::due::{Due, Odometer, PageDue, slack};
 use super::mesher::{Found, MeshOptions, Mesher};
-use super::place::PageSquare;
-use super::sight::{Seen, Sight};
+use super::sight::{Lines, Seen, Sides, Sight};
+use super::squares::{At, FIRST_FINEST, PLACES, ROOT};
 use super::surface::{Index, Surface};
-use super::vertices::Asker;
-use escarp_proto::geometry::{Edge, PageId, Quadrant, Slot};
+use super::vertices::{Asker, VertexRef};
+use escarp_proto::geometry::{Edge, PageId, Quadrant};
 use escarp_proto::view::View;
-
-/// One update's view.
-struct Pass {
-    sight: Sight,
-    excess: f64,
-    squares: u64,
-    /// What the page that is being visited has come to.
-    page: Findings,
-}
-
-/// What the tests of one page's squares came to, and for how long that stays so.
-///
-/// All tests compare a fixed length with a distance from the eye, and a distance changes by no
-/// more than the eye moves. So until the eye has moved by the smallest difference, every test of
-/// the page comes out as it did; and where no test failed, the bound stays within the tolerance.
-#[derive(Debug, Clone, Copy)]
-struct Findings {
-    /// Smallest difference of the two sides of a test, metres.
-    slack_m: f64,
-    /// Largest bound of a triangle that stands, seen or not, over the tolerance.
-    excess: f64,
-    /// Way of the eye until then, metres, and threshold then.
-    travel_m: f64,
-    threshold: f64,
-}
-
-impl Findings {
-    /// Of a page that has not been visited, or has changed since.
-    const NONE: Findings = Findings {
-        slack_m: 0.0,
-        excess: f64::INFINITY,
-        travel_m: 0.0,
-        threshold: 0.0,
-    };
-
-    fn still_hold(&self, travel_m: f64, threshold: f64) -> bool {
-        // The way is a sum of rounded steps: hold back more than their rounding.
-        let moved_m = (travel_m - self.travel_m) * (1.0 + 1e-9);
-        self.excess <= 1.0 && self.threshold == threshold && moved_m < self.slack_m
-    }
-}
 
 /// The state of the mesher.
 #[derive(Debug, Default)]
 pub(super) struct Quadtree {
-    /// By page.
-    findings: Vec<Findings>,
-    /// Eye of the last update, and the length of its way so far, metres.
-    eye_m: Option<[f64; 3]>,
-    travel_m: f64,
+    odometer: Odometer,
+    /// When the squares of a page are due, by page.
+    pages: Vec<PageDue>,
+    /// When anything of a page, or below it, is due, by page.
+    all: Vec<Due>,
 }
 
 impl Mesher for Quadtree {
     fn update(&mut self, surface: &mut Surface, view: &View) -> Found {
-        self.travel(view.eye_m);
-        let mut pass = Pass {
-            sight: Sight::of(surface, view),
-            excess: 0.0,
-            squares: 0,
-            page: Findings::NONE,
-        };
-        self.run(surface, &mut pass);
-        Found {
-            excess: pass.excess,
-            squares: pass.squares,
+        let sight = Sight::of(surface, view);
+        if !self.odometer.go(&sight.tests) {
+            self.forget();
         }
+        let mut pass = Pass {
+            sight,
+            odometer: self.odometer,
+            found: Found::default(),
+        };
+        if let Some(&root) = surface.by_id.get(&PageId::ROOT) {
+            self.visit_page(surface, &mut pass, root);
+        }
+        pass.found
     }
 
-    fn linked(&mut self, _: &Surface, page: Index) {
-        let page = page as usize;
-        if self.findings.len() <= page {
-            self.findings.resize(page + 1, Findings::NONE);
+    fn linked(&mut self, surface: &Surface, page: Index) {
+        let pages = surface.nodes.len();
+        self.pages.resize(pages.max(self.pages.len()), PageDue::NOW);
+        self.all.resize(pages.max(self.all.len()), Due::NOW);
+        self.pages[page as usize] = PageDue::NOW;
+        let mut above = Some(page);
+        while let Some(page) = above {
+            self.all[page as usize] = Due::NOW;
+            above = surface.node(page).parent.map(|(parent, _)| parent);
         }
-        self.findings[page] = Findings::NONE;
     }
 
     fn unlinked(&mut self, page: Index) {
-        self.findings[page as usize] = Findings::NONE;
+        self.pages[page as usize] = PageDue::NOW;
+        self.all[page as usize] = Due::NOW;
+    }
+
+    fn forget(&mut self) {
+        self.pages.fill(PageDue::NOW);
+        self.all.fill(Due::NOW);
     }
 }
 
@@ -96,132 +71,200 @@ impl Quadtree {
         Quadtree::default()
     }
 
-    /// Adds to the eye's way, in the measure of
-    /// [`WorldBox::distance_m`](escarp_proto::georef::WorldBox::distance_m).
-    fn travel(&mut self, eye_m: [f64; 3]) {
-        if let Some(last) = self.eye_m {
-            let step = (0..3).map(|axis| (eye_m[axis] - last[axis]).abs());
-            self.travel_m += step.fold(0.0, f64::max);
-        }
-        self.eye_m = Some(eye_m);
-    }
-
-    fn run(&mut self, surface: &mut Surface, pass: &mut Pass) {
-        // Squares that are enabled for others' sake need no visit in this update: errors and boxes
-        // are nested, so no test of theirs can fail where the test above them has passed.
-        let mut pages: Vec<Index> = surface
-            .by_id
-            .get(&PageId::ROOT)
-            .copied()
-            .into_iter()
-            .collect();
-        while let Some(index) = pages.pop() {
-            self.visit_page(surface, pass, index);
-            let enabled = |&(_, child): &(Slot, Index)| {
-                let centre = (child, PageSquare::ROOT.centre() as u16);
-                surface.is_enabled(centre).then_some(child)
-            };
-            pages.extend(surface.node(index).children.iter().filter_map(enabled));
-        }
-    }
-
-    /// Visits the squares of a page, or passes it over.
+    /// Visits a page whose centre is enabled, and those below it, as far as they are due.
     fn visit_page(&mut self, surface: &mut Surface, pass: &mut Pass, index: Index) {
-        let threshold = pass.sight.tests.threshold;
-        let now = surface.updates;
-        let node = surface.node_mut(index);
-        node.last_use = now;
-        let findings = &mut self.findings[index as usize];
-        if findings.still_hold(self.travel_m, threshold) {
-            // No triangle of it is beyond the tolerance; how far below does not matter.
-            let any = findings.excess > 0.0;
-            if any && pass.excess < 1.0 && pass.sight.frustum.may_see(&node.mesh.bounds) {
-                pass.excess = 1.0;
-            }
+        let place = index as usize;
+        if !self.all[place].is_now(&pass.odometer) {
+            pass.pass_over(surface, index);
             return;
         }
-        pass.page = Findings {
-            slack_m: f64::INFINITY,
-            excess: 0.0,
-            travel_m: self.travel_m,
-            threshold,
-        };
-        pass.visit(surface, index, PageSquare::ROOT);
-        *findings = pass.page;
+        let mut all = self.pages[place].due();
+        if all.is_now(&pass.odometer) {
+            pass.visit_squares(surface, index, &mut self.pages[place]);
+            all = self.pages[place].due();
+        } else {
+            pass.pass_over(surface, index);
+        }
+        for child in 0..surface.node(index).children.len() {
+            let node = surface.node(index);
+            let (slot, child) = node.children[child];
+            if node.children_enabled.has(slot) {
+                self.visit_page(surface, pass, child);
+                all = all.or(self.all[child as usize], &pass.odometer);
+            }
+        }
+        self.all[place] = all;
     }
 }
 
-impl Pass {
-    /// Tests the triangles of a square whose centre is enabled, and of all below it in its page.
-    fn visit(&mut self, surface: &mut Surface, index: Index, square: PageSquare) {
-        self.squares += 1;
-        for edge in Edge::ALL {
-            let seen = self.sight.edge(surface.node(index), square, edge);
-            let vertex = (index, square.edge(edge) as u16);
-            self.test(surface, &seen);
-            surface.ask(vertex, edge.into(), seen.fails(), seen.excess());
-            if !surface.is_enabled(vertex) {
-                self.stands(&seen);
-            }
-        }
-        for quadrant in Quadrant::ALL {
-            self.visit_quadrant(surface, index, square, quadrant);
-        }
-    }
+/// One update's view.
+struct Pass {
+    sight: Sight,
+    odometer: Odometer,
+    found: Found,
+}
 
-    /// Notes how far the eye may move until a test comes out differently.
-    fn test(&mut self, surface: &mut Surface, seen: &Seen) {
-        if seen.reach_m <= 0.0 {
+/// A square that is being tested.
+struct Tested<'a> {
+    index: Index,
+    at: At,
+    sides: &'a Sides,
+    /// A triangle of it stands beyond the tolerance.
+    beyond: bool,
+}
+
+impl Pass {
+    /// What is not due is within the tolerance; how far below does not matter.
+    fn pass_over(&mut self, surface: &Surface, index: Index) {
+        if self.found.excess >= 1.0 {
             return;
         }
-        let slack_m = (seen.reach_m - seen.distance_m).abs();
-        self.page.slack_m = self.page.slack_m.min(slack_m);
-        if seen.fails() {
-            surface.wishes.in_view = self.sight.frustum.may_see(&seen.region);
-            surface.wishes.blocked = false;
+        let node = surface.node(index);
+        if node.squares.is_rough() && self.sight.frustum.may_see(&node.mesh.bounds) {
+            self.found.excess = 1.0;
         }
     }
 
-    fn visit_quadrant(
+    /// Tests the enabled squares of a page that are due.
+    fn visit_squares(&mut self, surface: &mut Surface, index: Index, due: &mut PageDue) {
+        let node = surface.node(index);
+        let lines = self.sight.lines(node);
+        let mut visit = due.visit(&self.odometer, &self.sight.tests, &node.mesh.bounds);
+        let mut passed_over = false;
+        let mut left = node.centres;
+        while left != 0 {
+            let at = left.trailing_zeros() as At;
+            left &= left - 1;
+            if due.is_due(at, &visit) {
+                let slack = self.test(surface, index, at, &lines);
+                due.tested(at, slack, &mut visit);
+                // What it enabled or disabled comes after it.
+                left = surface.node(index).centres & (u128::MAX << at << 1);
+            } else {
+                due.passed(at, &mut visit);
+                passed_over = true;
+            }
+        }
+        due.end(&visit);
+        if passed_over {
+            self.pass_over(surface, index);
+        }
+    }
+
+    /// Tests the triangles of a square. How much it takes until one comes out differently, metres
+    /// of error.
+    fn test(&mut self, surface: &mut Surface, index: Index, at: At, lines: &Lines) -> f64 {
+        self.found.squares += 1;
+        let sides = self.sight.sides(surface.node(index), lines, at);
+        let mut tested = Tested {
+            index,
+            at,
+            sides: &sides,
+            beyond: false,
+        };
+        for edge in Edge::ALL {
+            self.test_edge(surface, &mut tested, edge);
+        }
+        let mut tests = 4;
+        if at < FIRST_FINEST || surface.node(index).squares.has_cells() {
+            tests = 8;
+            for quadrant in Quadrant::ALL {
+                self.test_quadrant(surface, &mut tested, quadrant);
+            }
+        }
+        match tested.beyond {
+            true => 0.0,
+            false => slack(&self.sight.tests, &sides, 0..tests),
+        }
+    }
+
+    fn test_edge(&mut self, surface: &mut Surface, tested: &mut Tested<'_>, edge: Edge) {
+        let Tested {
+            index, at, sides, ..
+        } = *tested;
+        let vertex = (index, PLACES[at].edges[edge as usize]);
+        let (fails, asker) = (sides.fails(edge as usize), Asker::from(edge));
+        if fails != surface.state(vertex).is_asked_by(asker) {
+            let seen = self
+                .sight
+                .edge(surface.node(index), PLACES[at].square, edge);
+            self.ask(surface, vertex, asker, &seen);
+        }
+        if !surface.is_enabled(vertex) {
+            self.stands(tested, edge as usize, |sight| {
+                sight.edge(surface.node(index), PLACES[at].square, edge)
+            });
+        }
+    }
+
+    fn test_quadrant(
         &mut self,
         surface: &mut Surface,
-        index: Index,
-        square: PageSquare,
+        tested: &mut Tested<'_>,
         quadrant: Quadrant,
     ) {
-        let corners = quadrant
+        let Tested {
+            index, at, sides, ..
+        } = *tested;
+        let place = &PLACES[at];
+        let mut corners = quadrant
             .edges()
-            .map(|edge| (index, square.edge(edge) as u16));
-        if !corners.into_iter().any(|corner| surface.is_enabled(corner)) {
+            .map(|edge| place.edges[edge as usize])
+            .into_iter();
+        if !corners.any(|corner| surface.is_enabled((index, corner))) {
             return;
         }
-        let seen = self.sight.quadrant(surface.node(index), square, quadrant);
-        self.test(surface, &seen);
-        let child = square.child(quadrant);
-        match surface.square_below(index, child) {
-            Some((page, square)) => {
-                let centre = (page, square.centre() as u16);
-                surface.ask(centre, Asker::First, seen.fails(), seen.excess());
-                if surface.is_enabled(centre) {
-                    // A page below is visited by itself.
-                    if page == index {
-                        self.visit(surface, page, square);
-                    }
-                    return;
-                }
+        let test = 4 + quadrant as usize;
+        let seen = |sight: &Sight, surface: &Surface| {
+            sight.quadrant(surface.node(index), place.square, quadrant)
+        };
+        let centre = match at < FIRST_FINEST {
+            true => Some((index, PLACES[4 * at + 1 + quadrant as usize].centre)),
+            false => {
+                let page = surface.child(index, place.slots()[quadrant as usize]);
+                page.map(|page| (page, PLACES[ROOT].centre))
             }
-            None if seen.fails() => surface.want_below(index, child, seen.excess()),
-            None => {}
+        };
+        let fails = sides.fails(test);
+        match centre {
+            Some(centre) if fails != surface.state(centre).is_asked_by(Asker::First) => {
+                let seen = seen(&self.sight, surface);
+                self.ask(surface, centre, Asker::First, &seen);
+            }
+            None if fails => {
+                let seen = seen(&self.sight, surface);
+                self.face(surface, &seen);
+                surface.want_below(index, place.square.child(quadrant), seen.excess());
+            }
+            _ => {}
         }
-        self.stands(&seen);
+        if !centre.is_some_and(|centre| surface.is_enabled(centre)) {
+            self.stands(tested, test, |sight| seen(sight, surface));
+        }
+    }
+
+    fn ask(&mut self, surface: &mut Surface, vertex: VertexRef, asker: Asker, seen: &Seen) {
+        if seen.fails() {
+            self.face(surface, seen);
+        }
+        surface.ask(vertex, asker, seen.fails(), seen.excess());
+    }
+
+    /// What is wanted from here on is wanted for this triangle.
+    fn face(&mut self, surface: &mut Surface, seen: &Seen) {
+        surface.wishes.in_view = self.sight.frustum.may_see(&seen.region);
+        surface.wishes.blocked = false;
     }
 
     /// A triangle stands as it is.
-    fn stands(&mut self, seen: &Seen) {
-        let excess = seen.excess();
-        self.page.excess = self.page.excess.max(excess);
-        if excess > self.excess && self.sight.frustum.may_see(&seen.region) {
-            self.excess = excess;
+    fn stands(&mut self, tested: &mut Tested<'_>, test: usize, seen: impl FnOnce(&Sight) -> Seen) {
+        tested.beyond |= tested.sides.fails(test);
+        // First without a division.
+        if tested.sides.reach_m[test] > self.found.excess * tested.sides.distance_m[test] {
+            let seen = seen(&self.sight);
+            if seen.excess() > self.found.excess && self.sight.frustum.may_see(&seen.region) {
+                self.found.excess = seen.excess();
+            }
         }
     }
 }

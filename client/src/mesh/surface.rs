@@ -2,13 +2,14 @@
 //! vertices are enabled.
 
 use super::contradiction::{Contradiction, Known};
-use super::page_mesh::PageMesh;
+use super::page_mesh::{PageMesh, Vertex};
 use super::place::PageSquare;
+use super::squares::{PAGE_SQUARES, Squares};
 use super::vertices::{VertexRef, VertexState};
 use super::wants::Wishes;
-use escarp_proto::geometry::{Edge, GridLevels, PAGE_SAMPLES, PageId, Slot};
+use escarp_proto::geometry::{Edge, GridLevels, PAGE_SLOTS, PageId, Slot};
 use escarp_proto::georef::Georef;
-use escarp_proto::page::{Bounds, BoxError, PAGE_AREA, Page, PageError};
+use escarp_proto::page::{Bounds, BoxError, ChildSlot, PAGE_AREA, Page, PageError, SquareErrors};
 use std::collections::HashMap;
 use thiserror::Error;
 
@@ -63,20 +64,25 @@ impl Stale {
 #[derive(Debug)]
 pub(super) struct Node {
     pub(super) page: Page,
-    pub(super) bounds: Bounds,
+    /// What its squares are tested by.
+    pub(super) squares: Box<Squares>,
+    /// Of a page with holes: what its triangles hold.
+    pub(super) outlines: Option<Box<Bounds>>,
     pub(super) promise: Option<BoxError>,
     pub(super) parent: Option<(Index, Slot)>,
     pub(super) neighbours: [Option<Index>; 4],
-    /// Resident children, few.
+    /// Resident children, by slot.
     pub(super) children: Vec<(Slot, Index)>,
+    children_resident: SlotSet,
+    /// Children whose centre is enabled.
+    pub(super) children_enabled: SlotSet,
     pub(super) vertices: Box<[VertexState; PAGE_AREA]>,
+    /// Squares whose centre is enabled: a bit each, by their places.
+    pub(super) centres: u128,
     /// Enabled vertices.
     pub(super) enabled: u32,
     /// Update in which it was last of use.
     pub(super) last_use: u64,
-    /// World `x` and `y` of its columns and rows of samples, metres.
-    pub(super) columns_m: [f64; PAGE_SAMPLES],
-    pub(super) rows_m: [f64; PAGE_SAMPLES],
     pub(super) mesh: PageMesh,
     /// The mesh's triangles are not up to date.
     pub(super) stale_triangles: bool,
@@ -84,6 +90,57 @@ pub(super) struct Node {
     pub(super) stale_vertices: Stale,
     /// Vertices have been enabled or disabled since the morph was updated.
     pub(super) flagged: bool,
+    /// Whether it is in the list of those.
+    listed: bool,
+}
+
+/// Some slots of a page.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct SlotSet([u64; 4]);
+
+impl SlotSet {
+    pub(super) fn set(&mut self, slot: Slot, is_in: bool) {
+        let bit = 1 << (slot.index() % 64);
+        let word = &mut self.0[slot.index() / 64];
+        *word = if is_in { *word | bit } else { *word & !bit };
+    }
+
+    pub(super) fn has(&self, slot: Slot) -> bool {
+        self.0[slot.index() / 64] & 1 << (slot.index() % 64) != 0
+    }
+
+    /// How many of them come before a slot.
+    fn before(&self, slot: Slot) -> usize {
+        let (word, bit) = (slot.index() / 64, slot.index() % 64);
+        let whole: u32 = self.0[..word].iter().map(|word| word.count_ones()).sum();
+        (whole + (self.0[word] & ((1 << bit) - 1)).count_ones()) as usize
+    }
+}
+
+/// What every page takes: its node, heights, states of vertices, bounds, and the mesh's vertices.
+const NODE_BYTES: usize = size_of::<Option<Node>>()
+    + PAGE_AREA * (size_of::<i32>() + size_of::<VertexState>() + size_of::<Vertex>())
+    + size_of::<Squares>()
+    + MESHER_BYTES;
+/// What a mesher keeps of a page, about.
+const MESHER_BYTES: usize = 256;
+
+impl Node {
+    /// Memory beside [`NODE_BYTES`].
+    fn more_bytes(&self) -> usize {
+        let outlines = match self.outlines {
+            Some(_) => {
+                PAGE_SLOTS * size_of::<BoxError>() + PAGE_SQUARES * size_of::<SquareErrors>()
+            }
+            None => 0,
+        };
+        let slots = match self.page.has_slots() {
+            true => size_of::<[ChildSlot; PAGE_SLOTS]>(),
+            false => 0,
+        };
+        let indices = self.mesh.indices.capacity() * size_of::<u16>();
+        self.squares.more_bytes() + outlines + slots + indices
+    }
 }
 
 /// The resident pages, and the mesh that their enabled vertices make. Whatever a mesher does to
@@ -98,10 +155,18 @@ pub(super) struct Surface {
     pub(super) wishes: Wishes,
     pub(super) updates: u64,
     pub(super) changes: u64,
+    /// Vertices that were enabled or disabled.
+    pub(super) switched: u64,
     pub(super) stamps: u64,
     /// Vertices enabled (`true`) and disabled since they were taken, in order; `None` if nobody
     /// asks.
     pub(super) flips: Option<Vec<(VertexRef, bool)>>,
+    /// Pages whose mesh may not be up to date.
+    pub(super) stale: Vec<Index>,
+    /// Triangles of all meshes.
+    pub(super) triangles: u64,
+    /// Memory of what not all pages have alike.
+    pub(super) more_bytes: usize,
 }
 
 impl Surface {
@@ -116,8 +181,12 @@ impl Surface {
             wishes: Wishes::default(),
             updates: 0,
             changes: 0,
+            switched: 0,
             stamps: 0,
             flips: None,
+            stale: Vec::new(),
+            triangles: 0,
+            more_bytes: 0,
         }
     }
 
@@ -141,13 +210,7 @@ impl Surface {
     }
 
     pub(super) fn memory_bytes(&self) -> usize {
-        const NODE: usize =
-            2 * PAGE_AREA * size_of::<i32>() + PAGE_AREA * size_of::<VertexState>() + 9000;
-        self.resident() * NODE
-            + self
-                .meshes()
-                .map(|mesh| mesh.indices.capacity() * 2)
-                .sum::<usize>()
+        self.resident() * NODE_BYTES + self.more_bytes
     }
 
     pub(super) fn node(&self, index: Index) -> &Node {
@@ -171,20 +234,24 @@ impl Surface {
         }
         let parent = self.parent_of(id)?;
         let promise = parent.map(|(index, slot)| {
-            let (column, row) = slot.position();
-            self.node(index).bounds.box_error(4, column, row)
+            let above = self.node(index);
+            Bounds::cell(&above.page, slot, above.promise)
         });
         let known = Known { parent, promise };
         let bounds = self.vetted_bounds(&page, known)?;
         let index = self.free.pop().unwrap_or(self.nodes.len() as Index);
         let node = self.new_node(page, bounds, known);
+        self.more_bytes += node.more_bytes();
         match self.nodes.get_mut(index as usize) {
             Some(place) => *place = Some(node),
             None => self.nodes.push(Some(node)),
         }
         self.by_id.insert(id, index);
         if let Some((parent, slot)) = parent {
-            self.node_mut(parent).children.push((slot, index));
+            let above = self.node_mut(parent);
+            let place = above.children_resident.before(slot);
+            above.children.insert(place, (slot, index));
+            above.children_resident.set(slot, true);
         }
         for edge in Edge::ALL {
             let neighbour = id
@@ -197,6 +264,7 @@ impl Surface {
             }
         }
         self.mark_around(index);
+        self.mark_triangles(index);
         self.changes += 1;
         Ok(index)
     }
@@ -221,20 +289,23 @@ impl Surface {
                 indices: Vec::new(),
                 index_stamp: 0,
             },
-            columns_m: std::array::from_fn(|i| self.georef.world_x(x + i as u32 * stride)),
-            rows_m: std::array::from_fn(|i| self.georef.world_y(y + i as u32 * stride)),
+            squares: Box::new(Squares::of(&bounds, id, self.grid, &self.georef)),
+            outlines: page.has_holes().then(|| Box::new(bounds)),
             page,
-            bounds,
             promise,
             parent,
             neighbours: [None; 4],
             children: Vec::new(),
+            children_resident: SlotSet::default(),
+            children_enabled: SlotSet::default(),
             vertices: Box::new([VertexState::default(); PAGE_AREA]),
+            centres: 0,
             enabled: 0,
             last_use: self.updates,
             stale_triangles: true,
             stale_vertices: Stale::ALL,
             flagged: false,
+            listed: false,
         }
     }
 
@@ -258,14 +329,48 @@ impl Surface {
             promise: node.promise,
         };
         let bounds = self.vetted_bounds(&page, known)?;
+        let squares = Squares::of(&bounds, page.id(), self.grid, &self.georef);
         let node = self.node_mut(index);
+        let before = node.more_bytes();
+        node.outlines = page.has_holes().then(|| Box::new(bounds));
         node.page = page;
-        node.bounds = bounds;
+        *node.squares = squares;
         node.stale_vertices = Stale::ALL;
-        node.stale_triangles = true;
+        let more = node.more_bytes();
+        self.more_bytes = self.more_bytes - before + more;
+        self.mark_triangles(index);
         self.mark_around(index);
         self.changes += 1;
         Ok(())
+    }
+
+    /// A page's triangles are to be made anew.
+    pub(super) fn mark_triangles(&mut self, index: Index) {
+        self.node_mut(index).stale_triangles = true;
+        self.list_stale(index);
+    }
+
+    fn mark_edge(&mut self, index: Index, edge: Edge) {
+        self.node_mut(index).stale_vertices.add_edge(edge);
+        self.list_stale(index);
+    }
+
+    fn list_stale(&mut self, index: Index) {
+        let node = self.node_mut(index);
+        if !std::mem::replace(&mut node.listed, true) {
+            self.stale.push(index);
+        }
+    }
+
+    /// The pages whose meshes may not be up to date, once each; from now on they are.
+    pub(super) fn take_stale(&mut self) -> Vec<Index> {
+        let mut stale = std::mem::take(&mut self.stale);
+        stale.retain(|&index| {
+            // Of pages that went, and whose place others took, either may be listed.
+            let node = self.nodes[index as usize].as_mut();
+            node.is_some_and(|node| std::mem::replace(&mut node.listed, false))
+        });
+        stale
     }
 
     /// A page has come, gone or changed: the vertices that the pages around share with it are
@@ -276,16 +381,13 @@ impl Surface {
             let Some(neighbour) = neighbours[edge as usize] else {
                 continue;
             };
-            let node = self.node_mut(neighbour);
-            node.stale_vertices.add_edge(edge.opposite());
-            let beyond = node.neighbours;
+            self.mark_edge(neighbour, edge.opposite());
+            let beyond = self.node(neighbour).neighbours;
             for side in [Edge::South, Edge::North] {
                 if matches!(edge, Edge::East | Edge::West)
                     && let Some(diagonal) = beyond[side as usize]
                 {
-                    self.node_mut(diagonal)
-                        .stale_vertices
-                        .add_edge(side.opposite());
+                    self.mark_edge(diagonal, side.opposite());
                 }
             }
         }
@@ -309,10 +411,12 @@ impl Surface {
         self.mark_around(index);
         let node = self.nodes[index as usize].take()?;
         self.free.push(index);
-        if let Some((parent, _)) = node.parent {
-            self.node_mut(parent)
-                .children
-                .retain(|&(_, child)| child != index);
+        self.triangles -= node.mesh.indices.len() as u64 / 3;
+        self.more_bytes -= node.more_bytes();
+        if let Some((parent, slot)) = node.parent {
+            let above = self.node_mut(parent);
+            above.children.retain(|&(_, child)| child != index);
+            above.children_resident.set(slot, false);
         }
         for edge in Edge::ALL {
             if let Some(neighbour) = node.neighbours[edge as usize] {
@@ -325,11 +429,10 @@ impl Surface {
 
     /// The resident child in a slot.
     pub(super) fn child(&self, index: Index, slot: Slot) -> Option<Index> {
-        let children = &self.node(index).children;
-        children
-            .iter()
-            .find(|(own, _)| *own == slot)
-            .map(|&(_, child)| child)
+        let node = self.node(index);
+        let place = node.children_resident.before(slot);
+        let resident = node.children_resident.has(slot);
+        resident.then(|| node.children[place].1)
     }
 
     /// A square by its parent's page: in that page, or the root of a resident child page.

@@ -158,6 +158,12 @@ impl MeshTree {
         }
     }
 
+    /// Makes the next update test every triangle anew, whether or not it can have changed: the
+    /// mesh does not change by that, only the cost of the update. For measurements.
+    pub fn forget_tests(&mut self) {
+        self.mesher.forget();
+    }
+
     /// Links wanted pages that need no record. Whether there were any.
     fn link_implied(&mut self) -> bool {
         let mut linked = false;

@@ -1,7 +1,9 @@
 //! From enabled vertices to indexed triangles, page by page, and only for pages that changed.
 
+use super::fans;
 use super::page_mesh::Vertex;
 use super::place::PageSquare;
+use super::squares::{At, FIRST_FINEST, PLACES};
 use super::surface::{Index, Node, Stale, Surface};
 use escarp_proto::geometry::{Edge, PAGE_CELLS, PAGE_SAMPLES};
 use escarp_proto::page::{Kind, PAGE_AREA, level_step};
@@ -17,43 +19,73 @@ pub(super) struct Leaf {
 impl Surface {
     /// Triangulates what changed since the last time. Triangles of the whole mesh.
     pub(super) fn triangulate(&mut self) -> u64 {
-        let mut triangles = 0;
-        for index in 0..self.nodes.len() as Index {
-            let Some(node) = &self.nodes[index as usize] else {
-                continue;
-            };
-            if node.stale_triangles {
+        for index in self.take_stale() {
+            if self.node(index).stale_triangles {
                 self.triangulate_page(index);
             }
             let node = self.node(index);
+            // Without triangles nothing is placed; when there are some, it is listed anew.
             if node.stale_vertices != Stale::NONE && !node.mesh.indices.is_empty() {
                 self.place_vertices(index);
             }
-            triangles += self.node(index).mesh.indices.len() as u64 / 3;
         }
-        triangles
+        self.triangles
     }
 
     fn triangulate_page(&mut self, index: Index) {
-        let mut indices = std::mem::take(&mut self.node_mut(index).mesh.indices);
+        let node = self.node_mut(index);
+        let mut indices = std::mem::take(&mut node.mesh.indices);
+        let (triangles, capacity) = (indices.len() as u64 / 3, indices.capacity());
         indices.clear();
-        let page = &self.node(index).page;
-        self.leaves(index, &mut |leaf| {
-            let drawn = leaf.kind != Kind::Empty
-                && leaf
-                    .corners
-                    .iter()
-                    .all(|&corner| page.is_valid(corner as usize));
-            if drawn {
-                indices.extend(leaf.corners);
-            }
-        });
+        match &self.node(index).outlines {
+            None => self.fans(index, &mut indices),
+            Some(_) => self.drawn(index, &mut indices),
+        }
+        self.triangles = self.triangles - triangles + indices.len() as u64 / 3;
+        self.more_bytes -= capacity * size_of::<u16>();
+        self.more_bytes += indices.capacity() * size_of::<u16>();
         self.stamps += 1;
         let stamp = self.stamps;
         let node = self.node_mut(index);
         node.mesh.indices = indices;
         node.mesh.index_stamp = stamp;
         node.stale_triangles = false;
+    }
+
+    /// The triangles of a page without holes, by table.
+    fn fans(&self, index: Index, indices: &mut Vec<u16>) {
+        let node = self.node(index);
+        let enabled = |sample: u16| node.vertices[sample as usize].is_enabled();
+        let mut left = node.centres;
+        while left != 0 {
+            let at = left.trailing_zeros() as At;
+            left &= left - 1;
+            let place = &PLACES[at];
+            let bit = |i: usize, is_set: bool| u8::from(is_set) << i;
+            let mut mask = 0;
+            for (i, &sample) in place.edges.iter().enumerate() {
+                mask |= bit(i, enabled(sample));
+            }
+            if at < FIRST_FINEST {
+                mask |= ((node.centres >> (4 * at + 1)) as u8 & 15) << 4;
+            } else if !node.children.is_empty() {
+                for (i, slot) in place.slots().into_iter().enumerate() {
+                    mask |= bit(4 + i, node.children_enabled.has(slot));
+                }
+            }
+            fans::emit(indices, at, mask);
+        }
+    }
+
+    /// The triangles of a page with holes, those in holes left out.
+    fn drawn(&self, index: Index, indices: &mut Vec<u16>) {
+        let page = &self.node(index).page;
+        self.leaves(index, &mut |leaf| {
+            let mut corners = leaf.corners.iter();
+            if leaf.kind != Kind::Empty && corners.all(|&corner| page.is_valid(corner.into())) {
+                indices.extend(leaf.corners);
+            }
+        });
     }
 
     /// All triangles of a page's own squares, drawn or not.
@@ -65,15 +97,26 @@ impl Surface {
 
     fn leaves_of(&self, index: Index, square: PageSquare, emit: &mut impl FnMut(Leaf)) {
         let centre = square.centre() as u16;
-        let bounds = &self.node(index).bounds;
-        let errors = bounds.square(square.level, square.column as usize, square.row as usize);
+        let outlines = self.node(index).outlines.as_deref();
+        let at = |square: PageSquare| (square.level, square.column as usize, square.row as usize);
+        let kind = |edge: Edge| {
+            let (level, column, row) = at(square);
+            let kinds = outlines.map(|bounds| bounds.square(level, column, row).kinds);
+            kinds.map_or(Kind::Full, |kinds| kinds[edge as usize])
+        };
+        let half_kind = |child: PageSquare, edge: Edge| {
+            let (level, column, row) = at(child);
+            outlines.map_or(Kind::Full, |bounds| {
+                bounds.half_kind(level, column, row, edge)
+            })
+        };
         for edge in Edge::ALL {
             let middle = square.edge(edge) as u16;
             let [from, to] = square.ends(edge).map(|end| end as u16);
             if !self.is_enabled((index, middle)) {
                 emit(Leaf {
                     corners: [centre, from, to],
-                    kind: errors.kinds[edge as usize],
+                    kind: kind(edge),
                 });
                 continue;
             }
@@ -84,16 +127,14 @@ impl Surface {
             ] {
                 let child = square.child(quadrant);
                 let below = self.square_below(index, child);
-                if below
-                    .is_some_and(|(page, square)| self.is_enabled((page, square.centre() as u16)))
-                {
-                    continue;
+                let splits = below
+                    .is_some_and(|(page, square)| self.is_enabled((page, square.centre() as u16)));
+                if !splits {
+                    emit(Leaf {
+                        corners,
+                        kind: half_kind(child, edge),
+                    });
                 }
-                let (column, row) = (child.column as usize, child.row as usize);
-                emit(Leaf {
-                    corners,
-                    kind: bounds.half_kind(child.level, column, row, edge),
-                });
             }
         }
         if square.level < 3 {

@@ -1,21 +1,71 @@
 //! Enabling, propagation and reference counts.
 
 use super::place::{PageSquare, Role, across, border, part_of, role};
+use super::squares;
 use super::surface::{Index, Surface};
 use escarp_proto::geometry::{Edge, PageId};
+use std::fmt::{self, Debug};
 
 /// A vertex of a page: `(page, sample)`.
 pub(super) type VertexRef = (Index, u16);
 
-/// State of a vertex in one page.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub(super) struct VertexState {
+/// State of a vertex in one page, in one byte.
+#[derive(Clone, Copy, PartialEq, Eq, Default)]
+pub(super) struct VertexState(u8);
+
+impl VertexState {
+    /// At most four squares' centres hang on an edge vertex, and four edge vertices on a centre.
+    const DEPENDENTS: u8 = 0b111;
+    const ASKED_SHIFT: u8 = 3;
+    const ENABLED: u8 = 1 << 5;
+
     /// Part of the mesh.
-    pub(super) enabled: bool,
+    pub(super) fn is_enabled(self) -> bool {
+        self.0 & Self::ENABLED != 0
+    }
+
     /// Which triangles of this page ask for it, a bit each: see [`Asker`].
-    pub(super) asked: u8,
+    pub(super) fn asked(self) -> u8 {
+        (self.0 >> Self::ASKED_SHIFT) & (Asker::First as u8 | Asker::Second as u8)
+    }
+
+    pub(super) fn is_asked_by(self, asker: Asker) -> bool {
+        self.0 & ((asker as u8) << Self::ASKED_SHIFT) != 0
+    }
+
     /// Enabled vertices of this page, and of its children, that depend on it.
-    pub(super) dependents: u8,
+    pub(super) fn dependents(self) -> u8 {
+        self.0 & Self::DEPENDENTS
+    }
+
+    fn set_enabled(&mut self, enabled: bool) {
+        self.0 = self.0 & !Self::ENABLED | u8::from(enabled) * Self::ENABLED;
+    }
+
+    fn set_asked_by(&mut self, asker: Asker, asked: bool) {
+        let bit = (asker as u8) << Self::ASKED_SHIFT;
+        self.0 = self.0 & !bit | u8::from(asked) * bit;
+    }
+
+    fn add_dependent(&mut self) {
+        debug_assert!(self.dependents() < Self::DEPENDENTS);
+        self.0 += 1;
+    }
+
+    fn remove_dependent(&mut self) {
+        debug_assert!(self.dependents() > 0);
+        self.0 -= 1;
+    }
+}
+
+impl Debug for VertexState {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("VertexState")
+            .field("enabled", &self.is_enabled())
+            .field("asked", &self.asked())
+            .field("dependents", &self.dependents())
+            .finish()
+    }
 }
 
 /// Whose test asks for a vertex: a centre has one asker, an edge vertex one on each side.
@@ -50,7 +100,7 @@ impl Surface {
     }
 
     pub(super) fn is_enabled(&self, vertex: VertexRef) -> bool {
-        self.state(vertex).enabled
+        self.state(vertex).is_enabled()
     }
 
     /// The same vertex in the page across the border, if it lies on one and that is resident.
@@ -137,7 +187,7 @@ impl Surface {
     fn is_held(&self, vertex: VertexRef) -> bool {
         let holds = |v: VertexRef| {
             let state = self.state(v);
-            state.asked != 0 || state.dependents > 0
+            state.asked() != 0 || state.dependents() > 0
         };
         holds(vertex) || self.mirror(vertex).is_some_and(holds)
     }
@@ -145,13 +195,12 @@ impl Surface {
     /// Sets whether a test asks for a vertex, and lets all that follows from it follow. `excess`
     /// is how far the test failed, for what is wanted.
     pub(super) fn ask(&mut self, vertex: VertexRef, asker: Asker, asked: bool, excess: f64) {
-        let bit = asker as u8;
         if asked {
             if self.enable(vertex, excess) {
-                self.set(vertex, |state| state.asked |= bit);
+                self.set(vertex, |state| state.set_asked_by(asker, true));
             }
-        } else if self.state(vertex).asked & bit != 0 {
-            self.set(vertex, |state| state.asked &= !bit);
+        } else if self.state(vertex).is_asked_by(asker) {
+            self.set(vertex, |state| state.set_asked_by(asker, false));
             self.release(vertex);
         }
     }
@@ -185,7 +234,7 @@ impl Surface {
             return false;
         }
         for needed in needed.known.into_iter().flatten() {
-            self.set(needed, |state| state.dependents += 1);
+            self.set(needed, VertexState::add_dependent);
         }
         self.flag(vertex, true);
         true
@@ -198,7 +247,7 @@ impl Surface {
         }
         self.flag(vertex, false);
         for needed in self.dependencies(vertex).known.into_iter().flatten() {
-            self.set(needed, |state| state.dependents -= 1);
+            self.set(needed, VertexState::remove_dependent);
             self.release(needed);
         }
     }
@@ -213,21 +262,29 @@ impl Surface {
         if let Some(flips) = &mut self.flips {
             flips.push((vertex, enabled));
         }
+        self.switched += 1;
+        let now = self.updates;
         for (index, sample) in [Some(vertex), self.mirror(vertex)].into_iter().flatten() {
             let node = self.node_mut(index);
-            node.vertices[sample as usize].enabled = enabled;
-            node.enabled = if enabled {
-                node.enabled + 1
-            } else {
-                node.enabled - 1
+            node.vertices[sample as usize].set_enabled(enabled);
+            node.enabled = match enabled {
+                true => node.enabled + 1,
+                false => node.enabled - 1,
             };
-            node.stale_triangles = true;
+            node.last_use = now;
             node.flagged = true;
-            let parent = node.parent;
-            if let Some((parent, _)) = parent
-                && sample as usize == PageSquare::ROOT.centre()
-            {
-                self.node_mut(parent).stale_triangles = true;
+            let centre = squares::at_centre(sample);
+            if let Some(at) = centre {
+                node.centres = match enabled {
+                    true => node.centres | 1 << at,
+                    false => node.centres & !(1 << at),
+                };
+            }
+            let parent = node.parent.filter(|_| centre == Some(squares::ROOT));
+            self.mark_triangles(index);
+            if let Some((parent, slot)) = parent {
+                self.node_mut(parent).children_enabled.set(slot, enabled);
+                self.mark_triangles(parent);
             }
         }
     }

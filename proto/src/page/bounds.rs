@@ -192,6 +192,17 @@ impl Bounds {
         }
     }
 
+    /// What is known of one cell of a page of full depth: as [`box_error`](Self::box_error) of the
+    /// page's level [`PAGE_LEVELS`], without deriving the rest.
+    ///
+    /// # Panics
+    /// If the page is not of full depth.
+    pub fn cell(page: &Page, slot: Slot, promise: Option<BoxError>) -> BoxError {
+        assert!(page.depth() == PAGE_LEVELS, "a page of full depth");
+        let (column, row) = slot.position();
+        Grid::of(page).cell_at(page, (column, row), promise)
+    }
+
     /// What half a quadrant holds: the half on the side of an edge of its parent, for a quadrant
     /// that is a square of the page's level `level`, up to and with the depth itself.
     pub fn half_kind(&self, level: u8, column: usize, row: usize, edge: Edge) -> Kind {
@@ -321,16 +332,24 @@ impl Grid {
 
     fn cells(&self, page: &Page, promise: Option<BoxError>) -> Vec<BoxError> {
         let side = self.side - 1;
-        let cell = |i: usize| {
-            let (column, row) = (i % side, i / side);
-            let slot = match self.depth {
-                PAGE_LEVELS => page.slot(Slot::at(column, row)),
-                _ => page.slot(Slot::at(0, 0)),
-            };
-            let told = self.cell(slot, row * self.side + column, page);
-            promise.map_or(told, |promise| capped(told, promise))
+        let places = (0..side * side).map(|i| (i % side, i / side));
+        places
+            .map(|place| self.cell_at(page, place, promise))
+            .collect()
+    }
+
+    fn cell_at(
+        &self,
+        page: &Page,
+        (column, row): (usize, usize),
+        promise: Option<BoxError>,
+    ) -> BoxError {
+        let slot = match self.depth {
+            PAGE_LEVELS => page.slot(Slot::at(column, row)),
+            _ => page.slot(Slot::at(0, 0)),
         };
-        (0..side * side).map(cell).collect()
+        let told = self.cell(slot, row * self.side + column, page);
+        promise.map_or(told, |promise| capped(told, promise))
     }
 
     fn cell(&self, slot: ChildSlot, south_west: usize, page: &Page) -> BoxError {
