@@ -1,10 +1,10 @@
 //! Geomorphing: vertices come and go without a jump, and the promise still holds.
 //!
 //! The mesher tests by a tolerance that is `1 + r` times narrower than the one promised, so
-//! vertices are enabled a little early. `phi` of a vertex is the largest `error / (distance *
-//! tolerance)` of its own tests. Its *weight* `m` is 0 where it has only just been enabled, at `phi
-//! = 1 / (1 + r)`, and 1 where the promise needs it, from `phi = 1` on; and at least that of every
-//! vertex that depends on it ([`spread`]).
+//! vertices are enabled a little early. `phi` of a vertex is the largest `error * threshold /
+//! distance` of its own tests, by the promise's threshold. Its *weight* `m` is 0 where it has only
+//! just been enabled, at `phi = 1 / (1 + r)`, and 1 where the promise needs it, from `phi = 1` on;
+//! and at least that of every vertex that depends on it ([`spread`]).
 //!
 //! What is displayed is the average, over `t` from 0 to 1, of the meshes `C(t)` of all vertices
 //! with `m >= t`.
@@ -24,7 +24,7 @@
 //!   the square above, on which it depends, the fourth is a corner of the square above.
 //! - *It does not jump.* Weights are continuous in the eye's place, and a vertex is enabled and
 //!   disabled where its weight is 0, so that it lies on the edge that it splits. New data may jump:
-//!   a vertex that had to wait for a page has its weight at once.
+//!   a vertex that had to wait for a page has its weight at once, and new bounds change weights.
 //! - *It has no crack.* Both sides of a border have the same weights ([`spread`] takes the larger)
 //!   and the same integer heights, and do the same arithmetic.
 //!
