@@ -11,6 +11,8 @@ pub mod feed;
 
 pub mod measure;
 
+pub mod displayed;
+
 pub mod host;
 
 pub mod drive;
