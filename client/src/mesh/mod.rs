@@ -38,6 +38,7 @@ mod wants;
 pub use audit::{SurfaceTriangle, VertexFlags};
 pub use contradiction::Contradiction;
 pub use frustum::Frustum;
+pub(crate) use frustum::basis;
 pub use mesher::{BLOCK_LEVELS, MeshOptions, MeshOptionsError, MesherKind, Metric, SPLIT_RATIOS};
 pub use page_mesh::{PageMesh, Vertex};
 pub use surface::LinkError;
