@@ -39,6 +39,7 @@ mod wants;
 pub use audit::{SurfaceTriangle, VertexFlags};
 pub use contradiction::Contradiction;
 pub use frustum::Frustum;
+pub(crate) use frustum::basis;
 pub use mesher::{BLOCK_LEVELS, MeshOptions, MeshOptionsError, MesherKind, Metric, SPLIT_RATIOS};
 pub use morph::{DEFAULT_MORPH, MORPH_SHARES};
 pub use page_mesh::{Offset, PageMesh, Vertex};

@@ -190,6 +190,11 @@ impl FrameBinding {
             .write_buffer(&self.buffer, 0, bytemuck::bytes_of(frame));
     }
 
+    /// The layout of all pipelines.
+    pub fn layout(&self) -> &wgpu::PipelineLayout {
+        &self.layout
+    }
+
     pub fn bind(&self, pass: &mut wgpu::RenderPass<'_>) {
         pass.set_bind_group(0, &self.group, &[]);
     }
@@ -269,7 +274,8 @@ pub fn pipeline(
         })
 }
 
-fn vertex_layout() -> wgpu::VertexBufferLayout<'static> {
+/// How the vertices of pages lie in their buffer.
+pub fn vertex_layout() -> wgpu::VertexBufferLayout<'static> {
     const ATTRIBUTES: [wgpu::VertexAttribute; 2] =
         wgpu::vertex_attr_array![0 => Sint32, 1 => Snorm16x2];
     wgpu::VertexBufferLayout {
@@ -279,7 +285,8 @@ fn vertex_layout() -> wgpu::VertexBufferLayout<'static> {
     }
 }
 
-fn instance_layout() -> wgpu::VertexBufferLayout<'static> {
+/// How the places of pages lie in their buffer.
+pub fn instance_layout() -> wgpu::VertexBufferLayout<'static> {
     const ATTRIBUTES: [wgpu::VertexAttribute; 2] =
         wgpu::vertex_attr_array![2 => Sint32x2, 3 => Uint32];
     wgpu::VertexBufferLayout {
