@@ -97,15 +97,13 @@ impl Sight {
     /// What a square holds, and the box of all of it.
     pub(super) fn square(&self, node: &Node, square: PageSquare) -> (Kind, WorldBox) {
         let (column, row) = (square.column as usize, square.row as usize);
-        let (kind, range) = match &node.outlines {
-            Some(outlines) => {
-                let known = outlines.box_error(square.level, column, row);
-                let range = [known.range.lo, known.range.hi].map(i64::from);
-                (known.kind, range)
-            }
-            None => (Kind::Full, node.squares.range(squares::at(square))),
-        };
-        (kind, self.square_box(node, square, range))
+        let known = node.outlines.as_ref();
+        let kind = known.map(|bounds| bounds.box_error(square.level, column, row).kind);
+        let range = node.squares.range_of(square);
+        (
+            kind.unwrap_or_default(),
+            self.square_box(node, square, range),
+        )
     }
 
     fn seen(&self, error: ErrorCode, region: WorldBox) -> Seen {
