@@ -53,14 +53,15 @@ pub struct Stages<'a> {
 impl<'a> Stages<'a> {
     /// A frame begins. With a budget, pages are decoded and linked no longer than that; the mesh
     /// is brought up to date in any case, as half of an update would be a crack. `reserved` is
-    /// what of the budget that is going to take.
+    /// what of the budget that is going to take; a quarter is left for pages whatever it is.
     pub fn begin(
         now: &'a dyn Fn() -> Duration,
         budget: Option<Duration>,
         reserved: Duration,
     ) -> Stages<'a> {
+        let for_pages = |all: Duration| all.saturating_sub(reserved).max(all / 4);
         Stages {
-            until: budget.map(|budget| now().saturating_add(budget.saturating_sub(reserved))),
+            until: budget.map(|budget| now().saturating_add(for_pages(budget))),
             now,
             pages: 0,
             times: StageTimes::default(),
@@ -128,7 +129,8 @@ mod tests {
     fn pages_are_begun_while_there_is_time_and_one_in_any_case() {
         assert_eq!(begun(Some(10), 0, 2), 5);
         assert_eq!(begun(Some(10), 7, 2), 2);
-        assert_eq!(begun(Some(10), 50, 2), 1);
+        assert_eq!(begun(Some(10), 50, 2), 2);
+        assert_eq!(begun(Some(4), 4, 2), 1);
         assert_eq!(begun(Some(0), 0, 2), 1);
         assert_eq!(begun(Some(u64::MAX), 0, 2), 1000);
         assert_eq!(begun(None, 50, 2), 1000);
