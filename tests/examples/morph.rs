@@ -1,10 +1,11 @@
 //! What a morph costs, and what it takes from the jumps of a slow flight.
 //!
 //! ```text
-//! cargo run --release -p escarp-tests --example morph -- DATASET HEIGHT_M STEP_M FRAMES
+//! cargo run --release -p escarp-tests --example morph -- DATASET HEIGHT_M STEP_M FRAMES [ahead]
 //! ```
 //!
 //! A level flight to the north-east, so high above the ground in the middle, so far each frame.
+//! With `ahead`, all that it needs, and more exact, is here before; else pages come on the way.
 //! Prints a line for each tolerance and share; a jump is how far the displayed surface moves on the
 //! screen, between two frames, at a vertex of either mesh that is in view: the largest is that of
 //! the whole surface, as it is linear between them. Those within two triangles of one that is not
@@ -30,6 +31,7 @@ struct Flight {
     start: [f64; 3],
     step_m: f64,
     frames: u32,
+    ahead: bool,
 }
 
 impl Flight {
@@ -59,14 +61,15 @@ struct Flown {
 
 fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let [path, height_m, step_m, frames] = arguments.as_slice() else {
-        return Err("write DATASET HEIGHT_M STEP_M FRAMES".into());
+    let [path, height_m, step_m, frames, rest @ ..] = arguments.as_slice() else {
+        return Err("write DATASET HEIGHT_M STEP_M FRAMES [ahead]".into());
     };
     let dataset = Dataset::open(path.as_ref())?;
     let flight = Flight {
         start: start(&dataset, height_m.parse()?)?,
         step_m: step_m.parse()?,
         frames: frames.parse()?,
+        ahead: rest == ["ahead"],
     };
     println!(
         "px | share | triangles | update ms, median, mean | triangulate ms, median | pages moved a frame | \
@@ -115,8 +118,9 @@ fn fly(dataset: &Dataset, flight: &Flight, error_px: f32, morph: f64) -> Flown {
     };
     let mut feed = Feed::with_options(dataset, options);
     let mut flown = Flown::default();
-    // Pages that come on the way jump. So all that is needed, and more exact, is here before.
-    for frame in (0..=flight.frames).step_by(8) {
+    // Pages that come on the way jump.
+    let ahead = (0..=flight.frames).step_by(8);
+    for frame in ahead.filter(|_| flight.ahead) {
         feed.converge(&flight.view(frame, error_px / 3.0));
     }
     let mut before: Option<Shown> = None;
