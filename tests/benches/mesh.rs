@@ -7,8 +7,8 @@ use escarp_client::mesh::{MeshTree, UpdateStats};
 use escarp_proto::geometry::{PAGE_CELLS, PAGE_SAMPLES, PageId, Slot};
 use escarp_proto::view::View;
 use escarp_tests::feed::Feed;
+use escarp_tests::report::clock;
 use escarp_tiles::dataset::Dataset;
-use rustix::time::{ClockId, clock_gettime};
 use std::path::{Path, PathBuf};
 
 /// Height of the eye above the ground, metres.
@@ -121,10 +121,9 @@ fn flight(
         .collect()
 }
 
-/// What this thread has run, milliseconds: what others do on the machine is not in it.
+/// What this process has run, milliseconds: what others do on the machine is not in it.
 fn cpu_ms() -> f64 {
-    let now = clock_gettime(ClockId::ThreadCPUTime);
-    now.tv_sec as f64 * 1e3 + now.tv_nsec as f64 / 1e6
+    clock::cpu().as_secs_f64() * 1e3
 }
 
 /// What the frames of a flight took.

@@ -15,8 +15,8 @@ use std::path::Path;
 use std::process::ExitCode;
 use std::time::Duration;
 
-/// Halvings of the range in which a tolerance is looked for.
-const STEPS: u32 = 14;
+/// Halvings of the step of 4 % in which a tolerance is looked for.
+const STEPS: u32 = 5;
 /// Allowed windows, cells a side.
 const CELLS: [u32; 2] = [16, 4096];
 
@@ -163,14 +163,17 @@ impl Prepared<'_> {
             cpu: Some(ours.cpu),
             bytes: Some(ours.bytes),
         });
-        for (name, more_parts) in [("of a part more", 1), ("of whole pages", 4)] {
-            let more = ours::mesh(&self.ours, tolerance, more_parts);
-            let line = self.line(name, tolerance, &more.triangles, Some(more.cpu));
-            print(&Line {
-                bytes: Some(more.bytes),
-                ..line
-            });
-        }
+        let whole = ours::mesh(&self.ours, tolerance, 4);
+        let line = self.line(
+            "of whole pages",
+            tolerance,
+            &whole.triangles,
+            Some(whole.cpu),
+        );
+        print(&Line {
+            bytes: Some(whole.bytes),
+            ..line
+        });
         let timed = |name, nominal, errors: &VertexErrors, before: Option<Duration>| {
             let start = thread_cpu();
             let mesh = errors.mesh(nominal);
@@ -178,7 +181,7 @@ impl Prepared<'_> {
             print(&self.line(name, nominal, &mesh, cpu));
         };
         for (name, errors, cpu) in [
-            ("Escarp, tuned", &self.derived, None),
+            ("of whole pages, tuned", &self.derived, None),
             ("with coded bounds, tuned", &self.coded, None),
             ("with exact bounds, tuned", &self.exact, None),
             ("RTIN, tuned", &self.rtin, Some(self.rtin_cpu)),

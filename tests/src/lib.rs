@@ -12,6 +12,8 @@ pub mod feed;
 
 pub mod measure;
 
+pub mod displayed;
+
 pub mod host;
 
 pub mod drive;

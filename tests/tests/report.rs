@@ -41,7 +41,6 @@ fn check_run(run: &Value, frames: usize) {
         "every sample, once"
     );
     assert!(float(error, "compared") > 10_000.0 && float(error, "frames") >= 3.0);
-    assert_eq!(float(error, "left_out"), 0.0, "{error}");
     assert_eq!(float(error, "crooked_edges"), 0.0, "{error}");
     let cdf = list(error, "ratio_cdf");
     let rises = |pair: &[Value]| pair[0][1].as_f64() <= pair[1][1].as_f64();
@@ -65,7 +64,8 @@ fn check_promise(run: &Value) {
     assert_eq!(run["keeps_tolerance"], true);
     assert!(float(error, "max_over_asked") <= SLACK, "{error}");
     assert_eq!(float(error, "share_above_stated"), 0.0);
-    assert_eq!(float(error, "covered"), 0.0);
+    assert_eq!(float(error, "left_out"), 0.0, "{error}");
+    assert_eq!(float(error, "covered"), 0.0, "{error}");
     assert!(float(run, "excess_max") <= SLACK);
 }
 
@@ -203,8 +203,9 @@ fn check_report(folder: &Path, meshers: &[&str], tolerances: &[f64]) {
     let runs = meshers.len() * tolerances.len();
     assert_eq!(lines("runs.csv"), 1 + runs);
     assert_eq!(lines("frames.csv"), 1 + runs * frames);
-    for name in ["ratios.csv", "pops.csv", "cold-starts.csv"] {
-        assert!(lines(name) > 3, "{name}");
+    // Where nothing jumps, that is the one line.
+    for (name, least) in [("ratios.csv", 9), ("pops.csv", 2), ("cold-starts.csv", 9)] {
+        assert!(lines(name) >= least, "{name}");
     }
     check_plots(&folder.join("plots"));
 }

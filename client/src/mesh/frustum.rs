@@ -33,6 +33,21 @@ impl Frustum {
         }
     }
 
+    /// Whether all of a box is within the sides, so that any box in it may be seen.
+    pub fn sees_all(&self, region: &WorldBox) -> bool {
+        self.sides.iter().all(|normal| {
+            let nearest = |i: usize| {
+                let corner = if normal[i] > 0.0 {
+                    region.min[i]
+                } else {
+                    region.max[i]
+                };
+                (corner - self.eye_m[i]) * normal[i]
+            };
+            (0..3).map(nearest).sum::<f64>() >= 0.0
+        })
+    }
+
     /// Whether any of a box may be seen. Never says no to a box that can be.
     pub fn may_see(&self, region: &WorldBox) -> bool {
         self.sides.iter().all(|normal| {

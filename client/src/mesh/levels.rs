@@ -63,7 +63,8 @@ impl Mesher for Levels {
         let mut sizes = Sizes::of(surface, view, ratio);
         let mut blocks = Vec::new();
         if let Some(&root) = surface.by_id.get(&PageId::ROOT) {
-            blocks.push((root, sizes.nearness(surface.node(root), PageSquare::ROOT)));
+            let near = sizes.near(surface.node(root), PageSquare::ROOT);
+            blocks.push((root, near.times()));
         }
         while let Some((page, nearness)) = blocks.pop() {
             self.mesh_block(surface, page, nearness);
@@ -127,10 +128,10 @@ impl Levels {
             children[slot.index()] = Some(child);
         }
         if !node.page.has_slots() {
-            return surface.want_below(page, cell(Slot::at(0, 0)), nearness);
+            return surface.want_below(page, PageSquare::cell(Slot::at(0, 0)), nearness);
         }
         for slot in (0..=u8::MAX).map(Slot::from_index) {
-            let cell = cell(slot);
+            let cell = PageSquare::cell(slot);
             let nearness = self.cell_nearness(surface.node(page), slot, sizes);
             match children[slot.index()] {
                 Some(child) if nearness > 1.0 || is_meshed(surface, child) => {
@@ -152,18 +153,9 @@ impl Levels {
     fn cell_nearness(&self, node: &Node, slot: Slot, sizes: &mut Sizes) -> f64 {
         let enters = self.chosen().is_some() || node.page.slot(slot).has_record();
         match enters {
-            true => sizes.nearness(node, cell(slot)),
+            true => sizes.near(node, PageSquare::cell(slot)).times(),
             false => 0.0,
         }
-    }
-}
-
-fn cell(slot: Slot) -> PageSquare {
-    let (column, row) = slot.position();
-    PageSquare {
-        level: PAGE_LEVELS,
-        column: column as u8,
-        row: row as u8,
     }
 }
 

@@ -3,7 +3,7 @@
 //! A vertex is a sample of the page's 17 x 17, row-major from the south-west. It is the centre of
 //! one square, or the middle of an edge between two. The page's corners belong to coarser pages.
 
-use escarp_proto::geometry::{Edge, PAGE_CELLS, PAGE_LEVELS, PAGE_SAMPLES, Quadrant};
+use escarp_proto::geometry::{Edge, PAGE_CELLS, PAGE_LEVELS, PAGE_SAMPLES, Quadrant, Slot};
 
 /// A square of a page: its level in the page, column and row.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -31,6 +31,16 @@ impl PageSquare {
         column: 0,
         row: 0,
     };
+
+    /// A cell of the page, below which another page can hang.
+    pub(super) fn cell(slot: Slot) -> PageSquare {
+        let (column, row) = slot.position();
+        PageSquare {
+            level: PAGE_LEVELS,
+            column: column as u8,
+            row: row as u8,
+        }
+    }
 
     /// Samples on its side, one end not counted.
     pub(super) const fn side(self) -> usize {

@@ -97,21 +97,13 @@ impl Sight {
     /// What a square holds, and the box of all of it.
     pub(super) fn square(&self, node: &Node, square: PageSquare) -> (Kind, WorldBox) {
         let (column, row) = (square.column as usize, square.row as usize);
-        let (kind, range) = match &node.outlines {
-            Some(outlines) => {
-                let known = outlines.box_error(square.level, column, row);
-                let range = [known.range.lo, known.range.hi].map(i64::from);
-                (known.kind, range)
-            }
-            None => {
-                let above = square.parent();
-                let below = above
-                    .map(|(above, quadrant)| node.squares.quadrant(squares::at(above), quadrant).1);
-                let range = below.unwrap_or_else(|| node.squares.range(squares::ROOT));
-                (Kind::Full, range)
-            }
-        };
-        (kind, self.square_box(node, square, range))
+        let known = node.outlines.as_ref();
+        let kind = known.map(|bounds| bounds.box_error(square.level, column, row).kind);
+        let range = node.squares.range_of(square);
+        (
+            kind.unwrap_or_default(),
+            self.square_box(node, square, range),
+        )
     }
 
     fn seen(&self, error: ErrorCode, region: WorldBox) -> Seen {

@@ -23,11 +23,47 @@ pub(super) fn split_ratio(options: &MeshOptions, view: &View) -> f64 {
     ratio.unwrap_or(following).clamp(least, most)
 }
 
+/// How near a square is.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Near {
+    /// It is too large within this distance, metres; 0 if it has no surface or cannot be seen.
+    reach_m: f64,
+    distance_m: f64,
+}
+
+impl Near {
+    /// Of a square that is not to be split from anywhere.
+    pub(super) const NOT: Near = Near {
+        reach_m: 0.0,
+        distance_m: 1.0,
+    };
+
+    pub(super) fn is_too_large(&self) -> bool {
+        self.reach_m > self.distance_m
+    }
+
+    /// How many times too large it is; allowed is 1.
+    pub(super) fn times(&self) -> f64 {
+        match self.reach_m > 0.0 {
+            true => self.reach_m / self.distance_m,
+            false => 0.0,
+        }
+    }
+
+    /// How far the eye may move until it is too large, or no longer, metres.
+    pub(super) fn slack_m(&self) -> f64 {
+        match self.reach_m > 0.0 {
+            true => (self.reach_m - self.distance_m).abs(),
+            false => f64::INFINITY,
+        }
+    }
+}
+
 /// One update's view, and a ratio of distance to size.
 #[derive(Debug)]
 pub(super) struct Sizes {
     pub(super) sight: Sight,
-    ratio: f64,
+    pub(super) ratio: f64,
     /// Side of a square, metres, by level.
     sides_m: Vec<f64>,
     /// Squares that were tested.
@@ -46,18 +82,18 @@ impl Sizes {
         }
     }
 
-    /// How many times nearer a square is than the ratio allows: it is too large if above 1. 0 if
-    /// it has no surface or cannot be seen.
-    ///
-    /// Never more for a square than for the one above it times a half: sides halve, boxes are
-    /// nested.
-    pub(super) fn nearness(&mut self, node: &Node, square: PageSquare) -> f64 {
+    /// How near a square is. Sides halve and boxes are nested, so it is at most half as many times
+    /// too large as the square above it.
+    pub(super) fn near(&mut self, node: &Node, square: PageSquare) -> Near {
         self.squares += 1;
         let (kind, region) = self.sight.square(node, square);
         if kind == Kind::Empty || !self.sight.frustum.may_see(&region) {
-            return 0.0;
+            return Near::NOT;
         }
         let side_m = self.sides_m[usize::from(node.page.id().level() + square.level)];
-        side_m * self.ratio / region.distance_m(self.sight.tests.eye_m)
+        Near {
+            reach_m: side_m * self.ratio,
+            distance_m: region.distance_m(self.sight.tests.eye_m),
+        }
     }
 }

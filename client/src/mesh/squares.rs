@@ -173,6 +173,14 @@ impl Squares {
         self.heights(self.ranges[at])
     }
 
+    /// As [`range`](Self::range), of a square or a cell.
+    pub(super) fn range_of(&self, square: PageSquare) -> [i64; 2] {
+        match square.parent() {
+            Some((above, quadrant)) => self.quadrant(at(above), quadrant).1,
+            None => self.range(ROOT),
+        }
+    }
+
     /// Bound and heights of a square's quadrant.
     pub(super) fn quadrant(&self, at: At, quadrant: Quadrant) -> (ErrorCode, [i64; 2]) {
         if at < FIRST_FINEST {
@@ -221,7 +229,7 @@ impl Place {
     const fn of(at: At) -> Place {
         let mut level = 0;
         let mut first = 0;
-        while at >= 4 * first + 1 {
+        while at > 4 * first {
             first = 4 * first + 1;
             level += 1;
         }

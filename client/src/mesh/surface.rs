@@ -88,6 +88,8 @@ pub(super) struct Node {
     pub(super) stale_triangles: bool,
     /// The mesh's vertices are not up to date: all, or those on some edges.
     pub(super) stale_vertices: Stale,
+    /// Vertices have been enabled or disabled since the morph was updated.
+    pub(super) flagged: bool,
     /// Whether it is in the list of those.
     listed: bool,
 }
@@ -153,18 +155,19 @@ pub(super) struct Surface {
     pub(super) wishes: Wishes,
     pub(super) updates: u64,
     pub(super) changes: u64,
-    /// Vertices that were enabled or disabled.
-    pub(super) switched: u64,
+    /// Vertices that were enabled, and disabled.
+    pub(super) splits: u64,
+    pub(super) merges: u64,
     pub(super) stamps: u64,
-    /// Vertices enabled (`true`) and disabled since they were taken, in order; `None` if nobody
-    /// asks.
-    pub(super) flips: Option<Vec<(VertexRef, bool)>>,
     /// Pages whose mesh may not be up to date.
     pub(super) stale: Vec<Index>,
     /// Triangles of all meshes.
     pub(super) triangles: u64,
     /// Memory of what not all pages have alike.
     pub(super) more_bytes: usize,
+    /// Vertices enabled (`true`) and disabled since they were taken, in order; `None` if nobody
+    /// asks.
+    pub(super) flips: Option<Vec<(VertexRef, bool)>>,
 }
 
 impl Surface {
@@ -179,13 +182,19 @@ impl Surface {
             wishes: Wishes::default(),
             updates: 0,
             changes: 0,
-            switched: 0,
+            splits: 0,
+            merges: 0,
             stamps: 0,
-            flips: None,
             stale: Vec::new(),
             triangles: 0,
             more_bytes: 0,
+            flips: None,
         }
+    }
+
+    /// Changes, and of these vertices enabled, vertices disabled.
+    pub(super) fn counts(&self) -> [u64; 3] {
+        [self.changes, self.splits, self.merges]
     }
 
     pub(super) fn resident(&self) -> usize {
@@ -282,6 +291,8 @@ impl Surface {
                 bounds: self.georef.world_box([x, x + cells], [y, y + cells], range),
                 vertices: Vec::new(),
                 vertex_stamp: 0,
+                offsets: None,
+                offset_stamp: 0,
                 indices: Vec::new(),
                 index_stamp: 0,
             },
@@ -300,6 +311,7 @@ impl Surface {
             last_use: self.updates,
             stale_triangles: true,
             stale_vertices: Stale::ALL,
+            flagged: false,
             listed: false,
         }
     }
@@ -453,12 +465,6 @@ impl Surface {
         if let Some(flips) = self.flips.as_mut().filter(|flips| flips.is_empty()) {
             *flips = emptied;
         }
-    }
-
-    /// Notes that a page is of use now.
-    pub(super) fn touch(&mut self, page: Index) {
-        let now = self.updates;
-        self.node_mut(page).last_use = now;
     }
 
     /// A page that needs no record, as the page above has it; `None` if it is resident already.

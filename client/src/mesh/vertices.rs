@@ -39,12 +39,12 @@ impl VertexState {
     }
 
     fn set_enabled(&mut self, enabled: bool) {
-        self.0 = self.0 & !Self::ENABLED | u8::from(enabled) * Self::ENABLED;
+        self.0 = (self.0 & !Self::ENABLED) | (u8::from(enabled) * Self::ENABLED);
     }
 
     fn set_asked_by(&mut self, asker: Asker, asked: bool) {
         let bit = (asker as u8) << Self::ASKED_SHIFT;
-        self.0 = self.0 & !bit | u8::from(asked) * bit;
+        self.0 = (self.0 & !bit) | (u8::from(asked) * bit);
     }
 
     fn add_dependent(&mut self) {
@@ -259,11 +259,14 @@ impl Surface {
     /// Sets the enabled flag on both sides, and marks what has to be triangulated again.
     fn flag(&mut self, vertex: VertexRef, enabled: bool) {
         self.changes += 1;
+        match enabled {
+            true => self.splits += 1,
+            false => self.merges += 1,
+        }
+        let now = self.updates;
         if let Some(flips) = &mut self.flips {
             flips.push((vertex, enabled));
         }
-        self.switched += 1;
-        let now = self.updates;
         for (index, sample) in [Some(vertex), self.mirror(vertex)].into_iter().flatten() {
             let node = self.node_mut(index);
             node.vertices[sample as usize].set_enabled(enabled);
@@ -272,6 +275,7 @@ impl Surface {
                 false => node.enabled - 1,
             };
             node.last_use = now;
+            node.flagged = true;
             let centre = squares::at_centre(sample);
             if let Some(at) = centre {
                 node.centres = match enabled {

@@ -238,8 +238,8 @@ fn errors_of(cells: u32, bound: impl Fn(&Triangle) -> u32) -> VertexErrors {
 /// the finest pages the derived one, which is exact.
 pub fn coded(window: &Window, triangle: &Triangle, derived: u32) -> u32 {
     let [from, to, _] = triangle;
-    let span = from.0.abs_diff(to.0) + from.1.abs_diff(to.1);
-    if span <= 2 << PAGE_LEVELS {
+    let side = from.0.abs_diff(to.0).max(from.1.abs_diff(to.1));
+    if side <= 1 << PAGE_LEVELS {
         return derived;
     }
     let exact = largest_in(window, triangle).ceil() as u32;

@@ -9,7 +9,6 @@ use super::variant::Variant;
 use anyhow::{Context, Result};
 use escarp_client::mesh::MeshTree;
 use escarp_proto::geometry::{PAGE_CELLS, PAGE_LEVELS, PAGE_SAMPLES, PageId};
-use escarp_proto::georef::WorldBox;
 use escarp_proto::page::{RecordHeader, SLOT_PART};
 use escarp_proto::view::View;
 use escarp_tiles::dataset::Dataset;
@@ -102,18 +101,9 @@ pub fn measure(surface: &FullSurface<'_>, variant: Variant, view: &View) -> Resu
             out.sent_triangles += triangles;
         }
     }
-    let seen = mesh.iter().filter(|triangle| {
-        let [a, b, c] = triangle
-            .corners
-            .map(|(x, y, z)| judge.georef().world(x, y, z));
-        let ends =
-            |pick: fn(f64, f64) -> f64| std::array::from_fn(|i| pick(pick(a[i], b[i]), c[i]));
-        let region = WorldBox {
-            min: ends(f64::min),
-            max: ends(f64::max),
-        };
-        triangle.drawn && judge.may_see(&region)
-    });
+    let seen = mesh
+        .iter()
+        .filter(|triangle| triangle.drawn && judge.may_see(&judge.box_of(&triangle.corners)));
     out.seen_triangles = seen.count() as u64;
     Ok(out)
 }

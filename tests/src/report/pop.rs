@@ -7,12 +7,11 @@
 use super::measure::histogram::Histogram;
 use super::measure::judge::Judge;
 use super::measure::scan::{Area, scan};
-use super::measure::triangles;
+use super::measure::{Triangle, triangles};
 use super::supply::Supply;
 use super::variant::Variant;
 use anyhow::Result;
 use escarp_client::flight::Path as Flight;
-use escarp_client::mesh::SurfaceTriangle;
 use escarp_proto::manifest::Manifest;
 use escarp_proto::view::View;
 use escarp_tiles::dataset::Dataset;
@@ -82,7 +81,7 @@ impl Rings {
     }
 
     /// Heights of a mesh at the places, ring by ring; NaN where nothing is drawn.
-    fn heights(&self, mesh: &[SurfaceTriangle]) -> Vec<Vec<f64>> {
+    fn heights(&self, mesh: &[Triangle]) -> Vec<Vec<f64>> {
         let heights = |(area, step): &(Area, u32)| {
             let columns = columns(*area, *step);
             let rows = count(area.y, *step);

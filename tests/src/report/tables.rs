@@ -98,7 +98,7 @@ pub fn runs(report: &Report) -> Table {
 
 /// A ratio, never rounded down to what it is above.
 pub fn ratio(value: f64) -> String {
-    format!("{:.3}", (value * 1e3 - 1e-6).ceil() / 1e3)
+    format!("{:.3}", (value * 1e3 - 1e-6).ceil().max(0.0) / 1e3)
 }
 
 /// A share in per cent, none only where there is none.

@@ -33,6 +33,9 @@ impl Entry {
 
 const _: () = assert!(size_of::<Entry>() == 16);
 
+/// Entries that an empty bucket keeps room for.
+const ROOM: usize = 1024;
+
 /// Entries by when they are due.
 #[derive(Debug)]
 pub(super) struct Calendar {
@@ -75,8 +78,9 @@ impl Calendar {
         let to = way_m.max(0.0).to_bits().max(self.now);
         let last = bucket(to, self.now);
         self.now = to;
-        for i in 0..last {
-            due.append(&mut self.buckets[i]);
+        for bucket in &mut self.buckets[..last] {
+            due.append(bucket);
+            bucket.shrink_to(ROOM);
         }
         let mut parted = std::mem::take(&mut self.buckets[last]);
         for entry in parted.drain(..) {
@@ -85,14 +89,17 @@ impl Calendar {
                 false => self.push(entry),
             }
         }
-        // Pushed entries went to lower buckets: the room stays where it was needed.
-        self.buckets[last] = parted;
+        // Pushed entries went to lower buckets. A little room stays, for the next ones.
+        if parted.capacity() <= ROOM {
+            self.buckets[last] = parted;
+        }
     }
 
     /// Keeps only what is still of use.
     pub(super) fn retain(&mut self, keep: impl Fn(&Entry) -> bool) {
         for bucket in &mut self.buckets {
             bucket.retain(&keep);
+            bucket.shrink_to(ROOM.max(bucket.len() * 5 / 4));
         }
     }
 

@@ -92,7 +92,7 @@ impl Roam {
             return Err(format!("noted as {exists}"));
         }
         let asked = notes.is_some_and(|notes| notes.is_asked(item));
-        let state = |(vertex, asker)| surface.state(vertex).asked() & asker as u8 != 0;
+        let state = |(vertex, asker)| surface.state(vertex).is_asked_by(asker);
         if asked != item.vertex(surface, page).is_some_and(state) {
             return Err(format!("noted as asked: {asked}"));
         }

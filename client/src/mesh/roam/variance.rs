@@ -91,3 +91,55 @@ fn variance(page: &Page, [apex, left, right]: Triangle) -> u32 {
     let own = u32::try_from(own).unwrap_or(u32::MAX);
     own.max(below[0]).max(below[1])
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use escarp_proto::geometry::{PageId, Quadrant};
+    use escarp_proto::page::PAGE_AREA;
+
+    fn finest(height: impl Fn(i32, i32) -> i32) -> Variances {
+        let samples: [Option<i32>; PAGE_AREA] = std::array::from_fn(|sample| {
+            let (x, y) = place(sample);
+            Some(height(x as i32, y as i32))
+        });
+        let id = PageId::new(4, 1, 2).expect("a page");
+        Variances::of(&Page::new(id, &samples, None).expect("heights that are allowed"))
+    }
+
+    fn edge(level: u8, edge: Edge) -> Item {
+        let square = PageSquare {
+            level,
+            ..PageSquare::ROOT
+        };
+        Item::edge(square, edge)
+    }
+
+    #[test]
+    fn a_plane_has_none_and_a_parabola_that_of_its_longest_hypotenuse() {
+        let plane = finest(|x, y| 3 * x - 5 * y + 7);
+        assert!((0..ITEMS).all(|i| plane.get(Item::from_index(i)) == 0.0));
+        // Over a length of 2 h, the middle of `3 x^2` is `3 h^2` off; the root's diagonals lie
+        // across half of an edge triangle, and go as far along `x`.
+        let parabola = finest(|x, _| 3 * x * x);
+        for level in 0..4 {
+            let half = f64::from(8 >> level);
+            assert_eq!(parabola.get(edge(level, Edge::South)), 3.0 * half * half);
+            let quarter = 3.0 * half * half / 4.0;
+            assert_eq!(
+                parabola.get(edge(level, Edge::East)),
+                if level < 3 { quarter } else { 0.0 }
+            );
+        }
+    }
+
+    #[test]
+    fn what_one_sample_is_off_by_is_seen_in_all_triangles_that_it_splits_further_down() {
+        let spike = finest(|x, y| if (x, y) == (3, 5) { 40 } else { 0 });
+        let sees = |quadrant| spike.get(Item::quadrant(PageSquare::ROOT, quadrant));
+        assert_eq!(sees(Quadrant::SouthWest), 40.0);
+        assert_eq!(sees(Quadrant::NorthEast), 0.0);
+        assert_eq!(spike.get(edge(0, Edge::West)), 40.0);
+        assert_eq!(spike.get(edge(0, Edge::East)), 0.0);
+    }
+}

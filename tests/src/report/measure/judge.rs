@@ -1,5 +1,6 @@
 //! What a deviation is worth on the screen.
 
+use super::scan::Corners;
 use escarp_client::mesh::Frustum;
 use escarp_proto::georef::{Georef, WorldBox};
 use escarp_proto::view::View;
@@ -53,6 +54,20 @@ impl Judge {
     /// From grid coordinates to the world.
     pub fn georef(&self) -> &Georef {
         &self.georef
+    }
+
+    /// The smallest box that holds a triangle, metres.
+    pub fn box_of(&self, corners: &Corners) -> WorldBox {
+        let [a, b, c] = corners.map(|(x, y, height)| {
+            let z = height * self.georef.quantum_m;
+            [self.georef.world_x(x), self.georef.world_y(y), z]
+        });
+        let ends =
+            |pick: fn(f64, f64) -> f64| std::array::from_fn(|i| pick(pick(a[i], b[i]), c[i]));
+        WorldBox {
+            min: ends(f64::min),
+            max: ends(f64::max),
+        }
     }
 
     /// Position of a sample if it may be seen.

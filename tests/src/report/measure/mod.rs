@@ -23,14 +23,36 @@ use escarp_client::mesh::{MeshTree, SurfaceTriangle};
 use escarp_proto::georef::Georef;
 use escarp_proto::view::View;
 use judge::Judge;
-use scan::Area;
+use scan::{Area, Corner, Corners};
 use surface::FullSurface;
 use tally::{Promise, Tally};
 
+/// A triangle as it is displayed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Triangle {
+    /// Its corners.
+    pub corners: Corners,
+    /// Whether it is drawn. Those in holes are not.
+    pub drawn: bool,
+    /// It has no sample but its corners, and they are at the samples: it is part of the surface.
+    pub exact: bool,
+}
+
+impl From<SurfaceTriangle> for Triangle {
+    fn from(triangle: SurfaceTriangle) -> Triangle {
+        let corners = triangle.corners.map(|(x, y, z)| (x, y, f64::from(z)));
+        Triangle {
+            corners,
+            drawn: triangle.drawn,
+            exact: is_finest(&corners),
+        }
+    }
+}
+
 /// All triangles of a mesh.
-pub fn triangles(tree: &MeshTree) -> Vec<SurfaceTriangle> {
+pub fn triangles(tree: &MeshTree) -> Vec<Triangle> {
     let mut triangles = Vec::new();
-    tree.visit_triangles(|triangle| triangles.push(triangle));
+    tree.visit_triangles(|triangle| triangles.push(triangle.into()));
     triangles
 }
 
@@ -39,12 +61,7 @@ impl FullSurface<'_> {
     ///
     /// # Errors
     /// If the dataset is damaged.
-    pub fn measure(
-        &self,
-        triangles: &[SurfaceTriangle],
-        view: &View,
-        promise: Promise,
-    ) -> Result<Tally> {
+    pub fn measure(&self, triangles: &[Triangle], view: &View, promise: Promise) -> Result<Tally> {
         let judge = Judge::new(&self.dataset.manifest().georef, view);
         let mut tally = match &self.whole {
             Some(samples) => whole::measure(samples, triangles, &judge, view, promise),
@@ -65,12 +82,12 @@ impl FullSurface<'_> {
 
 /// Half the longest side of a triangle, metres: as far as an outline may be off. Finest triangles
 /// are the surface itself, and so of no size.
-fn size_m(triangle: &SurfaceTriangle, georef: &Georef) -> f64 {
-    if is_finest(triangle) {
+fn size_m(corners: &Corners, georef: &Georef) -> f64 {
+    if is_finest(corners) {
         return 0.0;
     }
-    let [a, b, c] = triangle.corners;
-    let side = |p: (u32, u32, i32), q: (u32, u32, i32)| {
+    let [a, b, c] = *corners;
+    let side = |p: Corner, q: Corner| {
         let (dx, dy) = (
             f64::from(p.0) - f64::from(q.0),
             f64::from(p.1) - f64::from(q.1),
@@ -80,7 +97,7 @@ fn size_m(triangle: &SurfaceTriangle, georef: &Georef) -> f64 {
     side(a, b).max(side(b, c)).max(side(c, a)) / 2.0
 }
 
-/// Whether a triangle has no sample but its corners, and is part of the surface.
-fn is_finest(triangle: &SurfaceTriangle) -> bool {
-    Area::of(&triangle.corners).cells() <= 1
+/// Whether a triangle has no sample but its corners.
+fn is_finest(corners: &Corners) -> bool {
+    Area::of(corners).cells() <= 1
 }

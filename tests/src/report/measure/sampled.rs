@@ -7,16 +7,14 @@
 //! stands for, so shares and quantiles are estimates; the largest deviation is that of the samples
 //! measured, of which the count is stated.
 
-use super::is_finest;
+use super::Triangle;
 use super::judge::Judge;
 use super::scan::{Area, scan};
 use super::surface::{Heights, Tile};
 use super::tally::{Promise, Tally};
 use crate::terrain::hash;
 use anyhow::Result;
-use escarp_client::mesh::SurfaceTriangle;
 use escarp_proto::geometry::PAGE_CELLS;
-use escarp_proto::georef::WorldBox;
 use escarp_tiles::dataset::{Dataset, PageReader};
 use rayon::prelude::*;
 use std::collections::HashMap;
@@ -35,7 +33,7 @@ type Jobs = HashMap<Place, Vec<(u32, f64)>>;
 /// Measures a share of the samples in view.
 pub fn measure(
     dataset: &Dataset,
-    triangles: &[SurfaceTriangle],
+    triangles: &[Triangle],
     judge: &Judge,
     promise: Promise,
 ) -> Result<Tally> {
@@ -72,14 +70,14 @@ pub fn measure(
     Ok(measured?.iter().fold(tally, Tally::merge))
 }
 
-/// Which pages to read for which triangles. Finest triangles need none.
-fn collect(triangles: &[SurfaceTriangle], judge: &Judge, tally: &mut Tally) -> Jobs {
+/// Which pages to read for which triangles. Those that are part of the surface need none.
+fn collect(triangles: &[Triangle], judge: &Judge, tally: &mut Tally) -> Jobs {
     let mut jobs = Jobs::new();
     for (number, triangle) in triangles.iter().enumerate() {
-        if !triangle.drawn || !judge.may_see(&box_of(triangle, judge)) {
+        if !triangle.drawn || !judge.may_see(&judge.box_of(&triangle.corners)) {
             continue;
         }
-        if is_finest(triangle) {
+        if triangle.exact {
             tally.add_exact(0, samples_of(triangle));
             continue;
         }
@@ -92,19 +90,8 @@ fn collect(triangles: &[SurfaceTriangle], judge: &Judge, tally: &mut Tally) -> J
     jobs
 }
 
-fn box_of(triangle: &SurfaceTriangle, judge: &Judge) -> WorldBox {
-    let [a, b, c] = triangle
-        .corners
-        .map(|(x, y, z)| judge.georef().world(x, y, z));
-    let ends = |pick: fn(f64, f64) -> f64| std::array::from_fn(|i| pick(pick(a[i], b[i]), c[i]));
-    WorldBox {
-        min: ends(f64::min),
-        max: ends(f64::max),
-    }
-}
-
 /// Samples that a triangle has for its own: half of its doubled area.
-fn samples_of(triangle: &SurfaceTriangle) -> f64 {
+fn samples_of(triangle: &Triangle) -> f64 {
     let [a, b, c] = triangle
         .corners
         .map(|(x, y, _)| (f64::from(x), f64::from(y)));
@@ -112,7 +99,7 @@ fn samples_of(triangle: &SurfaceTriangle) -> f64 {
 }
 
 /// The pages in which to measure a triangle.
-fn places_of(triangle: &SurfaceTriangle) -> Vec<Place> {
+fn places_of(triangle: &Triangle) -> Vec<Place> {
     let side = PAGE_CELLS as u32;
     let area = Area::of(&triangle.corners);
     // A triangle that ends on a border of pages lies on its lower side.
@@ -150,7 +137,7 @@ fn places_of(triangle: &SurfaceTriangle) -> Vec<Place> {
 /// Measures the samples of a triangle in a page, which stand for a part of the triangle's.
 fn in_tile(
     tile: &Tile,
-    triangle: &SurfaceTriangle,
+    triangle: &Triangle,
     part: f64,
     judge: &Judge,
     promise: Promise,

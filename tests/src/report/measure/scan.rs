@@ -9,8 +9,11 @@ pub struct Area {
     pub y: [u32; 2],
 }
 
-/// A triangle over the grid, counter-clockwise: `x`, `y`, height in quanta.
-pub type Corners = [(u32, u32, i32); 3];
+/// A corner: `x`, `y` in the grid, and height in quanta.
+pub type Corner = (u32, u32, f64);
+
+/// A triangle over the grid, counter-clockwise.
+pub type Corners = [Corner; 3];
 
 impl Area {
     /// The smallest that holds a triangle.
@@ -57,7 +60,7 @@ struct Side {
 }
 
 impl Side {
-    fn between((x0, y0, _): (u32, u32, i32), (x1, y1, _): (u32, u32, i32)) -> Side {
+    fn between((x0, y0, _): Corner, (x1, y1, _): Corner) -> Side {
         let [x0, y0, x1, y1] = [x0, y0, x1, y1].map(i64::from);
         let (a, b) = (y0 - y1, x1 - x0);
         Side {
@@ -113,16 +116,18 @@ impl Plane {
     /// Exact where the triangle's doubled area is a power of two and heights have few enough bits,
     /// as those of a mesh of right triangles are.
     fn through(corners: &Corners) -> Option<Plane> {
-        let [a, b, c] = corners.map(|(x, y, z)| (i64::from(x), i64::from(y), i64::from(z)));
+        let [a, b, c] = corners.map(|(x, y, z)| (i64::from(x), i64::from(y), z));
         let (u, v) = (
             (b.0 - a.0, b.1 - a.1, b.2 - a.2),
             (c.0 - a.0, c.1 - a.1, c.2 - a.2),
         );
+        let north = |p: (i64, i64, f64)| p.1 as f64;
+        let east = |p: (i64, i64, f64)| p.0 as f64;
         let twice = u.0 * v.1 - u.1 * v.0;
         (twice > 0).then(|| Plane {
-            origin: (a.0 as f64, a.1 as f64, a.2 as f64),
-            east: (u.2 * v.1 - u.1 * v.2) as f64 / twice as f64,
-            north: (u.0 * v.2 - u.2 * v.0) as f64 / twice as f64,
+            origin: (east(a), north(a), a.2),
+            east: (u.2 * north(v) - north(u) * v.2) / twice as f64,
+            north: (east(u) * v.2 - u.2 * east(v)) / twice as f64,
         })
     }
 
@@ -179,7 +184,7 @@ mod tests {
         let mut found = Vec::new();
         for y in area.y[0]..=area.y[1] {
             for x in area.x[0]..=area.x[1] {
-                let det = |p: (u32, u32, i32), q: (u32, u32, i32)| {
+                let det = |p: Corner, q: Corner| {
                     let [px, py, qx, qy, x, y] = [p.0, p.1, q.0, q.1, x, y].map(i64::from);
                     (qx - px) * (y - py) - (qy - py) * (x - px)
                 };
@@ -199,7 +204,7 @@ mod tests {
             x in prop::array::uniform3(0u32..40), y in prop::array::uniform3(0u32..40),
             step in 1u32..5,
         ) {
-            let mut corners: Corners = std::array::from_fn(|i| (x[i], y[i], 2 * x[i] as i32 - 3 * y[i] as i32));
+            let mut corners: Corners = std::array::from_fn(|i| (x[i], y[i], 2.0 * f64::from(x[i]) - 3.0 * f64::from(y[i])));
             let turn = |c: &Corners| {
                 let d = |i: usize| (i64::from(c[i].0) - i64::from(c[0].0), i64::from(c[i].1) - i64::from(c[0].1));
                 d(1).0 * d(2).1 - d(1).1 * d(2).0

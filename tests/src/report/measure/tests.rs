@@ -32,7 +32,7 @@ fn views() -> Vec<View> {
 }
 
 /// Samples in view under a drawn triangle, each once.
-fn in_view(data: &TempDataset, triangles: &[SurfaceTriangle], view: &View) -> usize {
+fn in_view(data: &TempDataset, triangles: &[Triangle], view: &View) -> usize {
     let georef = &data.dataset.manifest().georef;
     let frustum = Frustum::of(view);
     let mut seen = HashSet::new();

@@ -5,8 +5,7 @@ use super::judge::Judge;
 use super::scan::{Area, Point, scan};
 use super::surface::{Heights, Samples, surface_height};
 use super::tally::{Promise, Tally};
-use super::{is_finest, size_m};
-use escarp_client::mesh::SurfaceTriangle;
+use super::{Triangle, size_m};
 use escarp_proto::view::View;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -57,7 +56,7 @@ struct Scene<'a> {
 /// Measures all samples in view, each once.
 pub fn measure(
     samples: &Samples,
-    triangles: &[SurfaceTriangle],
+    triangles: &[Triangle],
     judge: &Judge,
     view: &View,
     promise: Promise,
@@ -87,18 +86,18 @@ pub fn measure(
 }
 
 impl Scene<'_> {
-    fn triangle(&self, triangle: &SurfaceTriangle, tally: &mut Tally) {
+    fn triangle(&self, triangle: &Triangle, tally: &mut Tally) {
         let [width, height] = self.samples.size();
         let all = Area {
             x: [0, width - 1],
             y: [0, height - 1],
         };
         let georef = self.judge.georef();
-        let size_m = size_m(triangle, georef);
+        let size_m = size_m(&triangle.corners, georef);
         scan(&triangle.corners, all, 1, |point| {
             self.point(triangle.drawn, size_m, point, tally)
         });
-        if triangle.drawn && !is_finest(triangle) {
+        if triangle.drawn && !triangle.exact {
             self.between(triangle, tally);
         }
     }
@@ -111,7 +110,9 @@ impl Scene<'_> {
             shared,
         } = point;
         let sample = self.samples.height(x, y);
-        let Some(at_m) = self.judge.sees(x, y, sample.unwrap_or(0)) else {
+        // In a hole it is the triangle that is there.
+        let there = sample.unwrap_or(height.round() as i32);
+        let Some(at_m) = self.judge.sees(x, y, there) else {
             return;
         };
         let coarse = || size_m > self.judge.distance_m(at_m) * self.tolerance;
@@ -144,7 +145,7 @@ impl Scene<'_> {
     }
 
     /// Crossings of its edges that are no samples.
-    fn between(&self, triangle: &SurfaceTriangle, tally: &mut Tally) {
+    fn between(&self, triangle: &Triangle, tally: &mut Tally) {
         let [a, b, c] = triangle.corners;
         for (from, to) in [(a, b), (b, c), (c, a)] {
             let (start, end) = ((from.0, from.1), (to.0, to.1));
@@ -155,7 +156,7 @@ impl Scene<'_> {
                 let along = |a: f64, b: f64| a + share * (b - a);
                 let x = along(f64::from(from.0), f64::from(to.0));
                 let y = along(f64::from(from.1), f64::from(to.1));
-                let mesh = along(f64::from(from.2), f64::from(to.2));
+                let mesh = along(from.2, to.2);
                 if let Some(surface) = surface_height(self.samples, x, y) {
                     self.crossing(x, y, surface, mesh, tally);
                 }
