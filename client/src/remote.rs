@@ -1,12 +1,16 @@
 //! A terrain behind a connection: what the programs of the client drive.
 
+mod options;
+
+pub use options::ClientOptions;
+
 use crate::app::{StepStats, TerrainClient, Waker};
-use crate::governor::{Budgets, Governor, Load};
+use crate::governor::{Governor, Load};
 use crate::link::{Event, Link, LinkConfig, LinkState};
-use crate::mesh::{MeshOptions, Metric, PageMesh};
+use crate::mesh::{MeshOptions, PageMesh};
 use crate::net::{Connection, Url};
 use crate::stages::Stages;
-use crate::terrain::{DEFAULT_MEMORY_BYTES, Terrain, TerrainStep};
+use crate::terrain::{Terrain, TerrainStep};
 use escarp_proto::geometry::PageId;
 use escarp_proto::manifest::Manifest;
 use escarp_proto::view::View;
@@ -25,42 +29,6 @@ fn in_words(reason: MissReason) -> &'static str {
         MissReason::NotFound => "the server does not have it",
         MissReason::Damaged => "damaged on the server, or on the way",
         MissReason::Busy => "the server is busy",
-    }
-}
-
-/// How a client works.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct ClientOptions {
-    /// Most memory for resident pages, bytes.
-    pub memory_cap_bytes: usize,
-    /// How it meshes.
-    pub mesh: MeshOptions,
-    /// Most milliseconds a frame of updating, triangulating and uploading: the tolerance follows.
-    pub max_ms: Option<f64>,
-    /// How long a step may take. Pages for which there is no time wait for the next one; at least
-    /// one is linked in each.
-    pub frame_budget: Option<Duration>,
-}
-
-impl Default for ClientOptions {
-    fn default() -> ClientOptions {
-        ClientOptions {
-            memory_cap_bytes: DEFAULT_MEMORY_BYTES,
-            mesh: MeshOptions::default(),
-            max_ms: None,
-            frame_budget: None,
-        }
-    }
-}
-
-impl ClientOptions {
-    /// The governor of those budgets that a mesher does not keep by itself.
-    fn governor(&self) -> Governor {
-        let left = (self.mesh.max_triangles).filter(|_| !self.mesh.mesher.keeps_triangles());
-        Governor::new(Budgets {
-            max_triangles: left.map(u64::from),
-            max_ms: self.max_ms,
-        })
     }
 }
 
@@ -318,10 +286,6 @@ impl TerrainClient for RemoteTerrain {
         let link = self.link.stats();
         let terrain = self.terrain.as_ref();
         let excess = terrain.map_or(f64::INFINITY, |_| self.last_step.excess);
-        let mesh = &self.options.mesh;
-        // Where the mesher keeps to a number of triangles, the tolerance may have to give way.
-        let limited = mesh.max_triangles.is_some() && mesh.mesher.keeps_triangles();
-        let promises = mesh.mesher.keeps_tolerance() && mesh.metric == Metric::Bounding && !limited;
         StepStats {
             triangles: self.last_step.triangles,
             bytes_received: link.received_bytes,
@@ -331,10 +295,11 @@ impl TerrainClient for RemoteTerrain {
             chunks_waiting: (self.last_step.waiting + link.waiting_events) as u32,
             bound_px: excess * f64::from(view.max_screen_error_px),
             tolerance_px: view.max_screen_error_px,
-            converged: match promises {
+            converged: match self.options.promises_tolerance() {
                 true => excess <= 1.0,
                 false => excess.is_finite() && self.last_step.lacking == 0,
             },
+            steady: self.governor.is_steady(),
             times: self.last_step.times,
         }
     }

@@ -47,16 +47,26 @@ impl<'a> Feed<'a> {
     /// # Panics
     /// If that does not come to an end.
     pub fn converge(&mut self, view: &View) -> UpdateStats {
-        for _ in 0..200 {
+        self.converge_within(200, view)
+            .unwrap_or_else(|why| panic!("{why}"))
+    }
+
+    /// Updates until nothing is wished for, at most so many times.
+    ///
+    /// # Errors
+    /// What is still wished for.
+    pub fn converge_within(&mut self, updates: u32, view: &View) -> Result<UpdateStats, String> {
+        for _ in 0..updates {
             let stats = self.tree.update(view);
             let wishes = self.tree.wishes();
             if wishes.is_empty() {
-                return stats;
+                return Ok(stats);
             }
             for wish in wishes {
                 self.grant(&wish);
             }
         }
-        panic!("the mesh wishes on without end: {:?}", self.tree.wishes());
+        let wishes = self.tree.wishes();
+        Err(format!("the mesh wishes on without end: {wishes:?}"))
     }
 }

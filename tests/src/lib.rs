@@ -1,5 +1,6 @@
 //! What the whole-system tests share: datasets made from functions, DEM files, a feed of pages
-//! without a network, servers honest and lying, programs, and naive measurements of a mesh.
+//! without a network, servers honest and lying, programs, naive measurements of a mesh, and the
+//! table of stiff and extreme cases.
 
 pub mod terrain;
 
@@ -11,6 +12,8 @@ pub mod feed;
 
 pub mod measure;
 
+pub mod displayed;
+
 pub mod host;
 
 pub mod drive;
@@ -21,3 +24,5 @@ pub mod programs;
 
 pub mod peers;
 pub mod report;
+
+pub mod stability;

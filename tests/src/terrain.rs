@@ -20,7 +20,11 @@ pub struct FunctionSource<F> {
 impl<F: Fn(u32, u32) -> f64 + Send> FunctionSource<F> {
     /// `width` x `height` samples, 10 m apart, stored in whole metres.
     pub fn new(width: u32, height: u32, heights: F) -> Self {
-        let spacing = 10.0;
+        Self::spaced(width, height, [10.0, 10.0], heights)
+    }
+
+    /// As [`new`](Self::new), with another distance between samples, east and north, metres.
+    pub fn spaced(width: u32, height: u32, [dx, dy]: [f64; 2], heights: F) -> Self {
         let info = DemInfo {
             path: PathBuf::from("function"),
             format: "function",
@@ -28,9 +32,9 @@ impl<F: Fn(u32, u32) -> f64 + Send> FunctionSource<F> {
             height,
             placement: Placement {
                 x0: 1000.0,
-                y0: 2000.0 + f64::from(height - 1) * spacing,
-                dx: spacing,
-                dy: spacing,
+                y0: 2000.0 + f64::from(height - 1) * dy,
+                dx,
+                dy,
             },
             crs: Crs::Projected {
                 name: "EPSG:32632".into(),
@@ -46,6 +50,12 @@ impl<F: Fn(u32, u32) -> f64 + Send> FunctionSource<F> {
             info,
             height: heights,
         }
+    }
+
+    /// With what is said of it changed.
+    pub fn with(mut self, change: impl FnOnce(&mut DemInfo)) -> Self {
+        change(&mut self.info);
+        self
     }
 }
 
@@ -94,16 +104,30 @@ impl TempDataset {
     /// # Panics
     /// If it cannot be built.
     pub fn build(source: &mut dyn DemSource) -> TempDataset {
+        Self::build_with(source, Quantum::Natural).expect("the dataset builds")
+    }
+
+    /// Builds a dataset from a source, with this quantum.
+    ///
+    /// # Errors
+    /// Those of [`build`].
+    ///
+    /// # Panics
+    /// If there is no temporary folder, or the dataset does not open.
+    pub fn build_with(
+        source: &mut dyn DemSource,
+        quantum: Quantum,
+    ) -> Result<TempDataset, BuildError> {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let path = folder.path().join(FOLDER);
-        build_at(&path, source);
+        build_with(&path, source, quantum, true)?;
         let dataset = Dataset::open(&path).expect("the dataset opens");
         let samples = read_samples(&dataset);
-        TempDataset {
+        Ok(TempDataset {
             dataset,
             samples,
             folder,
-        }
+        })
     }
 
     /// Builds a dataset from a function, stored no more exactly than it must be.

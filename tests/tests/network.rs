@@ -1,12 +1,16 @@
 //! Server and client in one process, over loopback: convergence, names, wrong addresses.
 
+use escarp_client::app::TerrainClient;
 use escarp_client::app::headless::Driver;
-use escarp_client::remote::RemoteTerrain;
+use escarp_client::mesh::{MeshOptions, MeshTree, MesherKind};
+use escarp_client::remote::{ClientOptions, RemoteTerrain};
+use escarp_proto::view::View;
 use escarp_server::PageSource;
 use escarp_tests::drive::{same_pages, settle, step_until, tree, view_over};
 use escarp_tests::host::{Host, MEMORY, PATIENCE, Watched};
 use escarp_tests::measure::{check_cracks, measure};
 use escarp_tests::terrain::{Heights, TempDataset, cliff, hills, holed_hills};
+use std::cell::Cell;
 use std::io::{Read, Write};
 use std::net::TcpListener;
 use std::sync::Arc;
@@ -73,6 +77,178 @@ fn while_pages_are_on_their_way_there_is_no_crack_and_the_stated_bound_holds() {
         driver.client.is_settled()
     });
     settle(&mut driver, &view);
+}
+
+/// A client of the dataset `moon` with options.
+fn client_with(host: &Host, options: ClientOptions) -> Driver {
+    Driver::new(RemoteTerrain::with_options(host.url("moon"), options))
+}
+
+#[test]
+fn with_a_budget_of_triangles_the_tolerance_is_as_wide_as_it_must_be_and_its_bound_holds() {
+    let data = TempDataset::of(300, 270, hills);
+    let host = Host::of("moon", data.open());
+    let view = view_over(&data, 0.5);
+    let free = settle(&mut host.client("moon"), &view);
+    for share in [2, 5, 30] {
+        let budget = (free.triangles / share) as u32;
+        let mut driver = client_with(
+            &host,
+            ClientOptions {
+                mesh: MeshOptions {
+                    max_triangles: Some(budget),
+                    ..MeshOptions::default()
+                },
+                ..ClientOptions::default()
+            },
+        );
+        let stats = step_until(&mut driver, &view, "settled", |driver, _| {
+            driver.client.is_settled()
+        });
+        assert!(stats.converged && stats.steady, "{stats:?}");
+        assert!(stats.triangles <= budget.into(), "{budget}: {stats:?}");
+        assert!(
+            stats.triangles >= u64::from(budget) / 2,
+            "{budget}: {stats:?}"
+        );
+        assert!(stats.tolerance_px > 0.5, "{stats:?}");
+        assert!(stats.bound_px <= f64::from(stats.tolerance_px), "{stats:?}");
+        let mut used = view;
+        used.max_screen_error_px = stats.tolerance_px;
+        let found = measure(tree(&driver), &data, &used, false);
+        assert!(
+            found.samples > 0 && found.largest <= 1.0 + 1e-9,
+            "{found:?}"
+        );
+    }
+}
+
+#[test]
+fn with_no_time_for_more_than_a_page_a_frame_the_mesh_ends_the_same_without_a_crack() {
+    let data = TempDataset::of(230, 190, hills);
+    let cells = data.dataset.grid().cells_per_side();
+    let host = Host::of("moon", data.open());
+    let view = view_over(&data, 1.0);
+    let mut whole = host.client("moon");
+    settle(&mut whole, &view);
+    let mut driver = client_with(
+        &host,
+        ClientOptions {
+            frame_budget: Some(Duration::ZERO),
+            ..ClientOptions::default()
+        },
+    );
+    let resident = Cell::new(0);
+    step_until(&mut driver, &view, "settled", |driver, stats| {
+        if driver.client.terrain().is_some() {
+            check_cracks(tree(driver), cells).unwrap_or_else(|why| panic!("{why}"));
+            let stored = |tree: &MeshTree| {
+                let ids = tree.pages().map(|page| page.id());
+                ids.filter(|&id| data.dataset.record(id).expect("sound").is_some())
+                    .count()
+            };
+            let now = stored(tree(driver));
+            let before = resident.replace(now);
+            assert!(now <= before + 1, "{now} after {before}: {stats:?}");
+        }
+        driver.client.is_settled()
+    });
+    assert_eq!(tree(&driver).flags(), tree(&whole).flags());
+}
+
+#[test]
+fn another_mesher_needs_no_page_twice_and_the_first_one_comes_back_as_it_was() {
+    let data = TempDataset::of(230, 190, hills);
+    let source = Watched::new(data.open(), Duration::ZERO);
+    let watched = source.clone();
+    let host = Host::start(&[("moon", watched)]);
+    let view = view_over(&data, 1.0);
+    let mut driver = host.client("moon");
+    let before = settle(&mut driver, &view);
+    for &mesher in MesherKind::ALL {
+        driver.client.set_mesh_options(MeshOptions {
+            mesher,
+            ..MeshOptions::default()
+        });
+        let stats = step_until(&mut driver, &view, "settled", |driver, _| {
+            driver.client.is_settled()
+        });
+        assert!(
+            stats.converged && stats.triangles > 0,
+            "{mesher}: {stats:?}"
+        );
+        assert!(stats.pages_resident >= before.pages_resident, "{mesher}");
+    }
+    driver.client.set_mesh_options(MeshOptions::default());
+    source.take_asked();
+    settle(&mut driver, &view);
+    assert_eq!(source.take_asked(), []);
+}
+
+#[test]
+fn a_view_that_makes_no_sense_is_shown_as_the_nearest_that_does_with_a_note() {
+    let data = TempDataset::of(130, 110, hills);
+    let host = Host::of("moon", data.open());
+    let mut driver = host.client("moon");
+    let usual = view_over(&data, 2.0);
+    settle(&mut driver, &usual);
+    assert!(driver.client.notes().is_empty());
+    for (field, view) in [
+        (
+            "eye",
+            View {
+                eye_m: [f64::NAN; 3],
+                ..usual
+            },
+        ),
+        (
+            "eye",
+            View {
+                eye_m: [1e300, 0.0, 0.0],
+                ..usual
+            },
+        ),
+        (
+            "direction",
+            View {
+                direction: [0.0; 3],
+                ..usual
+            },
+        ),
+        (
+            "field of view",
+            View {
+                fov_y: f32::INFINITY,
+                ..usual
+            },
+        ),
+        (
+            "viewport",
+            View {
+                viewport_px: [0, 9],
+                ..usual
+            },
+        ),
+        (
+            "max_screen_error_px",
+            View {
+                max_screen_error_px: f32::NAN,
+                ..usual
+            },
+        ),
+    ] {
+        let stats = step_until(&mut driver, &view, field, |driver, _| {
+            driver.client.is_settled()
+        });
+        assert!(stats.converged, "{field}: {stats:?}");
+        assert!(
+            driver.client.notes()[0].contains(field),
+            "{:?}",
+            driver.client.notes()
+        );
+    }
+    settle(&mut driver, &usual);
+    assert!(driver.client.notes().is_empty());
 }
 
 #[test]

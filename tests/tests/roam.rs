@@ -16,6 +16,7 @@ const ROAM: MeshOptions = MeshOptions {
     max_changes: None,
     split_ratio: None,
     level: None,
+    morph: 0.0,
 };
 
 fn view(eye_m: [f64; 3], look_m: [f64; 3], error_px: f32) -> View {

@@ -120,6 +120,8 @@ fn page(id: PageId, (x0, y0): (u32, u32), georef: &Georef) -> PageMesh {
         },
         vertices,
         vertex_stamp: id.key() + 1,
+        offsets: None,
+        offset_stamp: 0,
         indices: full_triangles(),
         index_stamp: id.key() + 1,
     }

@@ -61,7 +61,7 @@ fn height_in(mesh: &PageMesh, triangle: [u16; 3], place: [f64; 2]) -> Option<f64
     if !shares.iter().all(|&share| share >= 0.0) {
         return None;
     }
-    let height = |corner: usize| f64::from(mesh.vertices[usize::from(triangle[corner])].height);
+    let height = |corner: usize| mesh.displayed(usize::from(triangle[corner]));
     Some((0..3).map(|corner| shares[corner] * height(corner)).sum())
 }
 
@@ -94,6 +94,8 @@ mod tests {
             },
             vertices: (0..289).map(vertex).collect(),
             vertex_stamp: 1,
+            offsets: None,
+            offset_stamp: 0,
             indices: vec![0, 16, 288, 0, 288, 272],
             index_stamp: 1,
         };

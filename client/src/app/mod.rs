@@ -78,6 +78,8 @@ pub struct StepStats {
     pub tolerance_px: f32,
     /// Whether the mesh is all that the tolerance asks for.
     pub converged: bool,
+    /// Whether the tolerance stands: with a budget it goes on to move when all pages are here.
+    pub steady: bool,
     /// What the stages of the step took.
     pub times: StageTimes,
 }
@@ -95,6 +97,7 @@ impl Default for StepStats {
             bound_px: f64::INFINITY,
             tolerance_px: 0.0,
             converged: false,
+            steady: true,
             times: StageTimes::default(),
         }
     }

@@ -2,7 +2,7 @@
 
 use crate::camera::overview;
 use crate::governor::{TIME_BUDGETS_MS, TRIANGLE_BUDGETS};
-use crate::mesh::{MeshOptions, MesherKind, Metric};
+use crate::mesh::{DEFAULT_MORPH, MORPH_SHARES, MeshOptions, MesherKind, Metric};
 use crate::net::Url;
 use crate::remote::{ClientOptions, RemoteTerrain};
 use anyhow::{Result, bail};
@@ -144,6 +144,10 @@ pub(super) struct MeshArgs {
     /// Level of all blocks of levels; default: by distance
     #[arg(long, value_name = "L")]
     level: Option<u8>,
+    /// Let vertices come and go gradually, over this share of the tolerance: off, on, or a share
+    /// such as 0.25; for meshers that keep the tolerance. Default: on in a window, else off
+    #[arg(long, value_parser = morph, value_name = "off|on|R")]
+    morph: Option<f64>,
     /// Most triangles: where there would be more, the tolerance is widened
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(TRIANGLE_BUDGETS[0] as i64..))]
     max_triangles: Option<u32>,
@@ -151,6 +155,18 @@ pub(super) struct MeshArgs {
     /// take longer, the tolerance is widened
     #[arg(long, value_name = "T", value_parser = max_ms)]
     max_ms: Option<f64>,
+}
+
+fn morph(text: &str) -> Result<f64, String> {
+    let [least, most] = MORPH_SHARES;
+    match (text, text.parse::<f64>()) {
+        ("off", _) => Ok(0.0),
+        ("on", _) => Ok(DEFAULT_MORPH),
+        (_, Ok(share)) if share == 0.0 || (least..=most).contains(&share) => Ok(share),
+        _ => Err(format!(
+            "{text:?}, allowed are off, on, and {least} to {most}"
+        )),
+    }
 }
 
 fn meshers() -> impl TypedValueParser<Value = MesherKind> {
@@ -163,6 +179,12 @@ fn metrics() -> impl TypedValueParser<Value = Metric> {
 }
 
 impl MeshArgs {
+    /// The same for what is seen in motion: with a morph, unless something else is said.
+    pub(super) fn in_motion(mut self) -> MeshArgs {
+        self.morph.get_or_insert(DEFAULT_MORPH);
+        self
+    }
+
     fn options(&self) -> Result<MeshOptions> {
         let options = MeshOptions {
             mesher: self.mesher,
@@ -171,6 +193,7 @@ impl MeshArgs {
             max_changes: None,
             split_ratio: self.split_ratio,
             level: self.level,
+            morph: self.morph.unwrap_or(0.0),
         };
         options.check()?;
         let budget = self.max_triangles.is_some() || self.max_ms.is_some();
@@ -263,6 +286,9 @@ mod tests {
         let refusal = |line: &str| parse(line).unwrap_err();
         assert!(refusal("--mesher fans").contains("quadtree"));
         assert!(refusal("--metric far").contains("bounding"));
+        assert!(refusal("--morph nan").contains("0.01 to 4"));
+        assert_eq!(parse("--morph on").unwrap().morph, DEFAULT_MORPH);
+        assert_eq!(parse("--morph off"), Ok(MeshOptions::default()));
         assert!(refusal("--max-triangles 0").contains("16"));
         assert!(refusal("--max-ms NaN").contains("allowed"));
         assert!(refusal("--split-ratio NaN").contains("allowed"));

@@ -27,6 +27,8 @@ pub(super) fn run(args: ViewArgs) -> Result<()> {
         start: args.look.given(),
         ..ViewerOptions::default()
     };
-    let client = args.server.open(&args.mesh, args.frame_budget_ms)?;
+    let client = args
+        .server
+        .open(&args.mesh.in_motion(), args.frame_budget_ms)?;
     Ok(viewer::run(client, options)?)
 }

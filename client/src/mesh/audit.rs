@@ -52,6 +52,11 @@ impl Surface {
 
     /// Visits every triangle of the mesh, those in holes included: together they cover the grid.
     pub(super) fn visit_triangles(&self, mut visit: impl FnMut(SurfaceTriangle)) {
+        self.visit_displayed(|triangle, _| visit(triangle));
+    }
+
+    /// The same with displayed heights, quanta.
+    pub(super) fn visit_displayed(&self, mut visit: impl FnMut(SurfaceTriangle, [f64; 3])) {
         for index in 0..self.nodes.len() as Index {
             let Some(node) = &self.nodes[index as usize] else {
                 continue;
@@ -74,7 +79,11 @@ impl Surface {
                     .iter()
                     .all(|&corner| node.page.is_valid(corner as usize));
                 let drawn = valid && leaf.kind != escarp_proto::page::Kind::Empty;
-                visit(SurfaceTriangle { corners, drawn });
+                let displayed = leaf.corners.map(|corner| {
+                    let corner = corner as usize;
+                    f64::from(node.page.height(corner)) + node.mesh.rise(corner)
+                });
+                visit(SurfaceTriangle { corners, drawn }, displayed);
             });
         }
     }

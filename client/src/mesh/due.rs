@@ -170,11 +170,12 @@ impl PageDue {
 
     /// A square was passed over.
     pub(super) fn passed(&self, at: At, visit: &mut Visit) {
-        visit.first = visit.first.min(f64::from(self.codes[at]) * visit.unit);
+        visit.passed = visit.passed.min(self.codes[at]);
     }
 
     pub(super) fn end(&mut self, visit: &Visit) {
-        let near = visit.first.min(MOST_UNITS * visit.unit) as f32;
+        let passed = f64::from(visit.passed).min(MOST_UNITS) * visit.unit;
+        let near = visit.first.min(passed) as f32;
         self.first = near.next_down();
     }
 }
@@ -185,7 +186,10 @@ pub(super) struct Visit {
     moved: f64,
     unit: f64,
     units: u8,
+    /// When the first of the squares that were tested is due.
     first: f64,
+    /// The least code of those that were passed over.
+    passed: u8,
 }
 
 impl Visit {
@@ -195,6 +199,7 @@ impl Visit {
             unit,
             units: whole_units(moved, unit),
             first: f64::INFINITY,
+            passed: u8::MAX,
         }
     }
 }

@@ -3,6 +3,9 @@
 use escarp_proto::georef::WorldBox;
 use escarp_proto::view::View;
 
+/// Directions whose level share is less look straight down or up.
+const LEAST_LEVEL: f64 = 1e-6;
+
 /// The four sides of a view's pyramid; what is behind the eye lies outside of one of them.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Frustum {
@@ -14,14 +17,7 @@ pub struct Frustum {
 impl Frustum {
     /// The pyramid of a view whose picture's upper side is up in the world.
     pub fn of(view: &View) -> Frustum {
-        let forward = unit(view.direction.map(f64::from));
-        // Looking straight up or down, north is up in the picture.
-        let level = (forward[0] * forward[0] + forward[1] * forward[1]).sqrt();
-        let right = match level > 1e-6 {
-            true => [forward[1] / level, -forward[0] / level, 0.0],
-            false => [1.0, 0.0, 0.0],
-        };
-        let up = cross(right, forward);
+        let [right, up, forward] = basis(view.direction);
         let tan_y = (f64::from(view.fov_y) / 2.0).tan();
         let tan_x = tan_y * f64::from(view.viewport_px[0]) / f64::from(view.viewport_px[1]);
         let side = |axis: [f64; 3], tan: f64| std::array::from_fn(|i| forward[i] * tan - axis[i]);
@@ -68,6 +64,25 @@ impl Frustum {
             reach >= -1e-9 * scale
         })
     }
+}
+
+/// Right, up and forward of a picture that is level, unit vectors at right angles. Looking
+/// straight up or down, north is up, or down, in the picture. Meshes and pictures have them from
+/// here, so that what is drawn is never what the mesh takes for unseen.
+pub(crate) fn basis(direction: [f32; 3]) -> [[f64; 3]; 3] {
+    let forward = unit(direction.map(f64::from));
+    let forward = match forward.iter().all(|c| c.is_finite()) {
+        true => forward,
+        // No view that was checked.
+        false => [0.0, 1.0, 0.0],
+    };
+    let level = forward[0].hypot(forward[1]);
+    let right = match level > LEAST_LEVEL {
+        true => [forward[1] / level, -forward[0] / level, 0.0],
+        // At right angles to what is forward, however little it leans east.
+        false => unit([forward[2].abs(), 0.0, -forward[0] * forward[2].signum()]),
+    };
+    [right, cross(right, forward), forward]
 }
 
 fn unit(v: [f64; 3]) -> [f64; 3] {

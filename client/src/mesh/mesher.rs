@@ -2,6 +2,7 @@
 
 use super::distance::Distance;
 use super::levels::Levels;
+use super::morph::{MORPH_SHARES, Morph};
 use super::quadtree::Quadtree;
 use super::roam::Roam;
 use super::surface::{Index, Surface};
@@ -172,6 +173,9 @@ pub struct MeshOptions {
     pub metric: Metric,
     /// Most triangles, for the meshers that can keep to it.
     pub max_triangles: Option<u32>,
+    /// Share of the tolerance over which vertices come and go gradually, in [`MORPH_SHARES`]; 0 is
+    /// off. For meshers that keep the tolerance; others take no notice of it.
+    pub morph: f64,
     /// Vertices after whose change an update leaves the rest to the next one, for the meshers that
     /// can go on there.
     pub max_changes: Option<u32>,
@@ -219,7 +223,18 @@ impl MeshOptions {
         if let Some(level) = self.level.filter(|level| !allowed(level)) {
             return error("level", level.to_string(), format!("{least}..={most}"));
         }
+        let [least, most] = MORPH_SHARES;
+        if self.morph != 0.0 && !(least..=most).contains(&self.morph) {
+            let allowed = format!("0 or {least}..={most}");
+            return error("morph", self.morph.to_string(), allowed);
+        }
         Ok(())
+    }
+
+    /// The morph, if there is to be one: weights go by the bounds that the mesher tests.
+    pub(super) fn morph(&self) -> Option<Morph> {
+        let tested = self.mesher.keeps_tolerance() && self.metric == Metric::Bounding;
+        Morph::of(self.morph).filter(|_| tested)
     }
 
     pub(super) fn mesher(&self) -> Box<dyn Mesher> {

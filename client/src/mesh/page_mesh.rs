@@ -28,7 +28,32 @@ impl Vertex {
     }
 }
 
+impl PageMesh {
+    /// Height at which a vertex is displayed, quanta.
+    pub fn displayed(&self, sample: usize) -> f64 {
+        f64::from(self.vertices[sample].height) + self.rise(sample)
+    }
+
+    /// How far a vertex is displayed above its height, quanta.
+    pub(super) fn rise(&self, sample: usize) -> f64 {
+        let offset = self.offsets.as_ref().map(|offsets| offsets[sample].rise);
+        f64::from(offset.unwrap_or(0.0))
+    }
+}
+
 const _: () = assert!(size_of::<Vertex>() == 8);
+
+/// How a vertex that is on its way is displayed; as the GPU reads it.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
+pub struct Offset {
+    /// Above its height, quanta.
+    pub rise: f32,
+    /// What half its normal lacks, as signed normalised 16-bit numbers.
+    pub half_turn: [i16; 2],
+}
+
+const _: () = assert!(size_of::<Offset>() == 8);
 
 /// The triangles of one page.
 #[derive(Debug, Clone, PartialEq)]
@@ -45,6 +70,10 @@ pub struct PageMesh {
     pub vertices: Vec<Vertex>,
     /// Changes whenever `vertices` does; never the same for two pages.
     pub vertex_stamp: u64,
+    /// How each vertex differs from what is displayed; `None` if all are displayed as they are.
+    pub offsets: Option<Vec<Offset>>,
+    /// Changes whenever `offsets` does; never the same for two pages, but 0 if there were none.
+    pub offset_stamp: u64,
     /// Three a triangle, counter-clockwise seen from above.
     pub indices: Vec<u16>,
     /// Changes whenever `indices` does; never the same for two pages.

@@ -268,3 +268,6 @@ impl Pass {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

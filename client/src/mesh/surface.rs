@@ -88,6 +88,8 @@ pub(super) struct Node {
     pub(super) stale_triangles: bool,
     /// The mesh's vertices are not up to date: all, or those on some edges.
     pub(super) stale_vertices: Stale,
+    /// Vertices have been enabled or disabled since the morph was updated.
+    pub(super) flagged: bool,
     /// Whether it is in the list of those.
     listed: bool,
 }
@@ -289,6 +291,8 @@ impl Surface {
                 bounds: self.georef.world_box([x, x + cells], [y, y + cells], range),
                 vertices: Vec::new(),
                 vertex_stamp: 0,
+                offsets: None,
+                offset_stamp: 0,
                 indices: Vec::new(),
                 index_stamp: 0,
             },
@@ -307,6 +311,7 @@ impl Surface {
             last_use: self.updates,
             stale_triangles: true,
             stale_vertices: Stale::ALL,
+            flagged: false,
             listed: false,
         }
     }

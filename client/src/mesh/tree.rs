@@ -1,13 +1,14 @@
 //! The mesh tree: a surface, and the mesher that works on it.
 
 use super::audit::{SurfaceTriangle, VertexFlags};
-use super::mesher::{MeshOptions, Mesher};
+use super::mesher::{Found, MeshOptions, Mesher};
+use super::morph::Morph;
 use super::page_mesh::PageMesh;
 use super::surface::{LinkError, Surface};
 use super::wants::Wish;
 use escarp_proto::geometry::{GridLevels, PageId};
 use escarp_proto::georef::Georef;
-use escarp_proto::page::Page;
+use escarp_proto::page::{PAGE_AREA, Page};
 use escarp_proto::view::View;
 
 /// What an update found.
@@ -34,6 +35,7 @@ pub struct MeshTree {
     surface: Surface,
     options: MeshOptions,
     mesher: Box<dyn Mesher>,
+    morph: Option<Morph>,
 }
 
 impl MeshTree {
@@ -49,6 +51,7 @@ impl MeshTree {
         surface.flips = mesher.follows_flips().then(Vec::new);
         MeshTree {
             surface,
+            morph: options.morph(),
             options,
             mesher,
         }
@@ -81,7 +84,8 @@ impl MeshTree {
 
     /// Memory that the pages take, bytes, near enough for a cap.
     pub fn memory_bytes(&self) -> usize {
-        self.surface.memory_bytes() + self.mesher.memory_bytes()
+        let morph = self.morph.as_ref().map_or(0, Morph::memory_bytes);
+        self.surface.memory_bytes() + self.mesher.memory_bytes() + morph
     }
 
     /// Links a page whose parent is resident, or more parts of one that is linked.
@@ -91,6 +95,9 @@ impl MeshTree {
     pub fn link(&mut self, page: Page) -> Result<(), LinkError> {
         let index = self.surface.link(page)?;
         self.mesher.linked(&self.surface, index);
+        if let Some(morph) = &mut self.morph {
+            morph.linked(index);
+        }
         Ok(())
     }
 
@@ -108,6 +115,9 @@ impl MeshTree {
             for id in idle.into_iter().take(some) {
                 if let Some(index) = self.surface.unlink(id) {
                     self.mesher.unlinked(index);
+                    if let Some(morph) = &mut self.morph {
+                        morph.unlinked(index);
+                    }
                     gone.push(id);
                 }
             }
@@ -120,17 +130,29 @@ impl MeshTree {
     pub fn update(&mut self, view: &View) -> UpdateStats {
         let before = self.surface.counts();
         self.surface.updates += 1;
+        let morph = self.morph.as_ref();
+        let tested = morph.map_or(*view, |morph| morph.tested(view));
+        let mut found = self.mesh(&tested);
+        if let Some(morph) = &mut self.morph {
+            morph.update(&mut self.surface, view);
+            found.excess = morph.excess(view, found.excess);
+        }
+        self.stats(found, before)
+    }
+
+    fn mesh(&mut self, view: &View) -> Found {
         let mut squares = 0;
         loop {
             self.surface.wishes.clear();
             if !self.surface.enable_root() {
                 self.surface.want_root();
-                return self.stats(f64::INFINITY, squares, before);
+                let excess = f64::INFINITY;
+                return Found { excess, squares };
             }
             let found = self.mesher.update(&mut self.surface, view);
             squares += found.squares;
             if !self.link_implied() {
-                return self.stats(found.excess, squares, before);
+                return Found { squares, ..found };
             }
         }
     }
@@ -141,12 +163,12 @@ impl MeshTree {
         self.mesher.forget();
     }
 
-    fn stats(&self, excess: f64, squares: u64, before: [u64; 3]) -> UpdateStats {
+    fn stats(&self, found: Found, before: [u64; 3]) -> UpdateStats {
         let now = self.surface.counts();
         let [changes, splits, merges] = std::array::from_fn(|i| now[i] - before[i]);
         UpdateStats {
-            excess,
-            squares,
+            excess: found.excess,
+            squares: found.squares,
             changes,
             splits,
             merges,
@@ -172,7 +194,11 @@ impl MeshTree {
 
     /// Triangulates what changed since the last time. Triangles of the whole mesh.
     pub fn triangulate(&mut self) -> u64 {
-        self.surface.triangulate()
+        let triangles = self.surface.triangulate();
+        if let Some(morph) = &mut self.morph {
+            morph.turn(&mut self.surface);
+        }
+        triangles
     }
 
     /// All vertices with any state, sorted.
@@ -192,5 +218,29 @@ impl MeshTree {
     /// Visits every triangle of the mesh, those in holes included: together they cover the grid.
     pub fn visit_triangles(&self, visit: impl FnMut(SurfaceTriangle)) {
         self.surface.visit_triangles(visit);
+    }
+
+    /// As [`visit_triangles`](Self::visit_triangles), with the heights at which the corners are
+    /// displayed, quanta.
+    pub fn visit_displayed(&self, visit: impl FnMut(SurfaceTriangle, [f64; 3])) {
+        self.surface.visit_displayed(visit);
+    }
+
+    /// How far each enabled vertex has come from the edge that it splits, 0, to its height, 1: page
+    /// by page with its samples. Nothing if there is no morph.
+    pub fn weights(&self) -> Vec<(PageId, u16, f64)> {
+        let Some(morph) = &self.morph else {
+            return Vec::new();
+        };
+        let nodes = (0..).zip(&self.surface.nodes);
+        let pages = nodes.filter_map(|(index, node)| Some((index, node.as_ref()?.page.id())));
+        let weights = pages.flat_map(|(index, id)| {
+            let sample = 0..PAGE_AREA as u16;
+            sample.filter_map(move |sample| {
+                let weight = morph.weight(index, sample.into())?;
+                Some((id, sample, weight))
+            })
+        });
+        weights.collect()
     }
 }

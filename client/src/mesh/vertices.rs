@@ -275,6 +275,7 @@ impl Surface {
                 false => node.enabled - 1,
             };
             node.last_use = now;
+            node.flagged = true;
             let centre = squares::at_centre(sample);
             if let Some(at) = centre {
                 node.centres = match enabled {

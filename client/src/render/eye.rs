@@ -1,5 +1,7 @@
 //! Where the eye is, what it sees, and the numbers that keep positions exact on the GPU.
 
+use super::scene::EXAGGERATIONS;
+use crate::mesh::basis;
 use escarp_proto::georef::{Georef, WorldBox};
 use escarp_proto::view::View;
 use glam::{DVec3, Mat4, Vec3, Vec4};
@@ -11,15 +13,16 @@ const FARTHEST_CELL: f64 = (1 << 29) as f64;
 const FARTHEST_QUANTA: f64 = ((1 << 30) - 1) as f64;
 /// Nothing nearer is drawn, metres; in finely sampled data it is less.
 const NEAR_M: f64 = 0.1;
-/// Directions whose horizontal share is less look straight down or up; north is then on top.
-const LEAST_HORIZONTAL: f64 = 1e-6;
 /// Boxes are held larger by this share of their distance, for the GPU's single precision.
 const CULL_MARGIN: f64 = 1e-6;
 
 /// An eye in a dataset's grid, with its frustum.
 ///
 /// The eye's place is split into whole grid cells and quanta, which are subtracted as integers,
-/// and a remainder in metres, which is the same for all vertices.
+/// and a remainder in metres, which is the same for all vertices. The cell is the nearest one:
+/// then what is subtracted from a vertex is at most as long as the vertex is far, and no vertex
+/// loses more than a few units in the last place of its own distance. What single precision takes
+/// from the remainder is given back by the projection.
 #[derive(Debug, Clone, PartialEq)]
 pub struct EyeFrame {
     /// The eye, metres.
@@ -38,6 +41,8 @@ pub struct EyeFrame {
     pub height: i32,
     /// The eye from that column, row and height, metres.
     pub remainder_m: Vec3,
+    /// What the remainder is short of the eye for being in single precision, metres.
+    pub lost_m: DVec3,
     /// Metres a column, a row, and a quantum with exaggeration.
     pub spacing_m: Vec3,
     /// Factor on all heights.
@@ -48,15 +53,17 @@ pub struct EyeFrame {
 impl EyeFrame {
     /// The frame of a [checked](View::check) view, with heights drawn `exaggeration` times as high.
     pub fn of(view: &View, georef: &Georef, exaggeration: f32) -> EyeFrame {
-        let [right, up, forward] = basis(DVec3::from(view.direction.map(f64::from)));
+        let [right, up, forward] = basis(view.direction).map(DVec3::from);
         let tangent = (f64::from(view.fov_y) / 2.0).tan();
         let aspect = f64::from(view.viewport_px[0]) / f64::from(view.viewport_px[1]);
-        let quantum = georef.quantum_m * f64::from(exaggeration);
+        let exaggeration = allowed_exaggeration(exaggeration);
+        let quantum = georef.quantum_m * exaggeration;
         let [dx, dy] = georef.sample_spacing_m;
-        let [x, y] = georef.grid(view.eye_m[0], view.eye_m[1]);
-        let (column, rest_x) = split(x, FARTHEST_CELL);
-        let (row, rest_y) = split(y, FARTHEST_CELL);
-        let (height, rest_z) = split_height(view.eye_m[2], quantum);
+        let (column, rest_x) = split(view.eye_m[0] - georef.origin_m[0], dx, FARTHEST_CELL);
+        let (row, rest_y) = split(view.eye_m[1] - georef.origin_m[1], dy, FARTHEST_CELL);
+        let (height, rest_z) = split(view.eye_m[2], quantum, FARTHEST_QUANTA);
+        let rest = DVec3::new(rest_x, rest_y, rest_z);
+        let remainder_m = rest.as_vec3();
         EyeFrame {
             eye_m: DVec3::from(view.eye_m),
             right,
@@ -64,10 +71,12 @@ impl EyeFrame {
             forward,
             half_tangents: [tangent * aspect, tangent],
             cell: [column, row],
-            height,
-            remainder_m: DVec3::new(rest_x * dx, rest_y * dy, rest_z).as_vec3(),
+            // At most `FARTHEST_QUANTA`.
+            height: height as i32,
+            remainder_m,
+            lost_m: rest - remainder_m.as_dvec3(),
             spacing_m: DVec3::new(dx, dy, quantum).as_vec3(),
-            exaggeration: f64::from(exaggeration),
+            exaggeration,
             near_m: NEAR_M.min(dx.min(dy) * 0.05),
         }
     }
@@ -77,8 +86,9 @@ impl EyeFrame {
         [0, 1].map(|axis| (i64::from(origin[axis]) - self.cell[axis]) as i32)
     }
 
-    /// From metres relative to the eye to clip space. Depth is `near / distance`: 1 at the near
-    /// plane and 0 at infinity, which spreads a float's precision evenly over all distances.
+    /// From metres relative to the eye, as the shaders have them, to clip space. Depth is `near /
+    /// distance`: 1 at the near plane and 0 at infinity, which spreads a float's precision evenly
+    /// over all distances.
     pub fn clip_from_eye(&self) -> Mat4 {
         let [x, y] = self.half_tangents;
         let (right, up) = (self.right / x, self.up / y);
@@ -90,8 +100,10 @@ impl EyeFrame {
                 self.forward[axis] as f32,
             )
         };
-        let depth = Vec4::new(0.0, 0.0, self.near_m as f32, 0.0);
-        Mat4::from_cols(column(0), column(1), column(2), depth)
+        let back = |axis: DVec3| -axis.dot(self.lost_m) as f32;
+        let depth = self.near_m as f32;
+        let last = Vec4::new(back(right), back(up), depth, back(self.forward));
+        Mat4::from_cols(column(0), column(1), column(2), last)
     }
 
     /// Whether any of a box can be in the picture. May say yes too often, never no.
@@ -116,33 +128,24 @@ impl EyeFrame {
     }
 }
 
-/// Right, up and forward of a picture that is level.
-fn basis(direction: DVec3) -> [DVec3; 3] {
-    let forward = direction.try_normalize().unwrap_or(DVec3::Y);
-    let horizontal = forward.truncate().length();
-    let hint = if horizontal > LEAST_HORIZONTAL {
-        DVec3::Z
-    } else {
-        DVec3::Y * -forward.z.signum()
-    };
-    let right = forward.cross(hint).normalize();
-    [right, right.cross(forward), forward]
-}
-
-/// A whole number near `value`, at most `farthest` from zero, and the rest.
-fn split(value: f64, farthest: f64) -> (i64, f64) {
-    let whole = value.floor().clamp(-farthest, farthest);
-    (whole as i64, value - whole)
-}
-
-/// Whole quanta of a height, and the rest in metres. Flat ground (a quantum of 0) is all rest.
-fn split_height(z_m: f64, quantum_m: f64) -> (i32, f64) {
-    let quanta = z_m / quantum_m;
-    if !quanta.is_finite() {
-        return (0, z_m);
+/// The factor that heights are drawn with: no number is none, and nothing is drawn upside down.
+fn allowed_exaggeration(factor: f32) -> f64 {
+    let [least, most] = EXAGGERATIONS;
+    match factor.is_nan() {
+        true => 1.0,
+        false => f64::from(factor.clamp(least, most)),
     }
-    let (whole, _) = split(quanta, FARTHEST_QUANTA);
-    (whole as i32, z_m - whole as f64 * quantum_m)
+}
+
+/// The whole number of steps that is nearest to a length, at most `farthest` from zero, and the
+/// rest in metres, rounded once. Flat ground (a step of 0) is all rest.
+fn split(length_m: f64, step_m: f64, farthest: f64) -> (i64, f64) {
+    let steps = length_m / step_m;
+    if !steps.is_finite() {
+        return (0, length_m);
+    }
+    let whole = steps.round().clamp(-farthest, farthest);
+    (whole as i64, whole.mul_add(-step_m, length_m))
 }
 
 #[cfg(test)]
@@ -208,6 +211,42 @@ mod tests {
             if clip.w > 0.0 && clip.x.abs() <= clip.w && clip.y.abs() <= clip.w {
                 prop_assert!(frame.sees(&bounds));
             }
+        }
+    }
+
+    #[test]
+    fn a_vertex_under_the_eye_is_right_however_far_apart_samples_are() {
+        let georef = Georef {
+            origin_m: [-2e7, -1e7],
+            sample_spacing_m: [37_065.3, 37_065.3],
+            ..georef()
+        };
+        for aside in [[0.13, 0.4], [-0.3, 0.02], [9000.4, -18_000.7]] {
+            let at = georef.world(401, 217, 0);
+            let eye = [at[0] + aside[0], at[1] + aside[1], 1.0];
+            let frame = EyeFrame::of(&view(eye, [0.1, 0.2, -1.0]), &georef, 1.0);
+            let right = DVec3::from(at) - DVec3::from(eye);
+            let clip = frame.clip_from_eye() * place(&frame, 401, 217, 0).extend(1.0);
+            let ahead = frame.forward.dot(right);
+            let [x, y] = frame.half_tangents;
+            let off = |clip: f32, axis: DVec3, tangent: f64| {
+                (f64::from(clip) - axis.dot(right) / tangent).abs() / ahead
+            };
+            assert!(off(clip.x, frame.right, x) < 1e-6, "{aside:?}");
+            assert!(off(clip.y, frame.up, y) < 1e-6, "{aside:?}");
+            assert!(off(clip.w, frame.forward, 1.0) < 1e-6, "{aside:?}");
+        }
+    }
+
+    #[test]
+    fn no_exaggeration_takes_a_number_from_a_frame() {
+        for factor in [f32::NAN, f32::INFINITY, f32::MAX, -1.0, 0.0, 1e-45] {
+            let frame = EyeFrame::of(&view([1.0, 2.0, 500.0], [0.0, 1.0, 0.0]), &georef(), factor);
+            let at = place(&frame, 7, 9, 1 << 30);
+            assert!(
+                at.is_finite() && frame.exaggeration >= 0.0,
+                "{factor}: {at}"
+            );
         }
     }
 

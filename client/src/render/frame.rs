@@ -4,13 +4,26 @@ use super::eye::EyeFrame;
 use super::gpu::Gpu;
 use super::scene::DrawParams;
 use super::target::{DEPTH_FORMAT, Output};
-use crate::mesh::Vertex;
+use crate::mesh::{Offset, Vertex};
 use bytemuck::{Pod, Zeroable};
 use escarp_proto::georef::{Georef, Plane};
 use glam::{DVec3, Vec3};
 
 /// Shader source that every pass begins with.
-pub const COMMON: &str = include_str!("common.wgsl");
+const COMMON: &str = include_str!("common.wgsl");
+/// Vertices at their heights, or on their way.
+const STILL: &str = include_str!("still.wgsl");
+const MORPHED: &str = include_str!("morphed.wgsl");
+
+/// Whether a pass reads pages, and how they are placed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Reads {
+    Nothing,
+    /// Pages whose vertices are at their heights.
+    Pages,
+    /// Pages with an offset for each vertex.
+    MorphedPages,
+}
 
 /// Share of light that a metre of air on the ground scatters: one in 150 km.
 const AIR_A_METRE: f32 = 1.0 / 150_000.0;
@@ -177,6 +190,11 @@ impl FrameBinding {
             .write_buffer(&self.buffer, 0, bytemuck::bytes_of(frame));
     }
 
+    /// The layout of all pipelines.
+    pub fn layout(&self) -> &wgpu::PipelineLayout {
+        &self.layout
+    }
+
     pub fn bind(&self, pass: &mut wgpu::RenderPass<'_>) {
         pass.set_bind_group(0, &self.group, &[]);
     }
@@ -185,9 +203,9 @@ impl FrameBinding {
 /// How one pass differs from the others.
 pub struct PassKind<'a> {
     pub label: &'a str,
-    /// Follows [`COMMON`].
+    /// Follows what all passes share.
     pub shader: &'a str,
-    pub reads_pages: bool,
+    pub reads: Reads,
     pub primitive: wgpu::PrimitiveState,
     pub writes_depth: bool,
     pub depth_compare: wgpu::CompareFunction,
@@ -201,14 +219,23 @@ pub fn pipeline(
     output: Output,
     kind: &PassKind<'_>,
 ) -> wgpu::RenderPipeline {
-    let source = format!("{COMMON}\n{}", kind.shader);
+    let page = match kind.reads {
+        Reads::MorphedPages => MORPHED,
+        Reads::Pages | Reads::Nothing => STILL,
+    };
+    let source = format!("{COMMON}\n{page}\n{}", kind.shader);
     let module = gpu
         .device
         .create_shader_module(wgpu::ShaderModuleDescriptor {
             label: Some(kind.label),
             source: wgpu::ShaderSource::Wgsl(source.into()),
         });
-    let page_buffers = [Some(vertex_layout()), Some(instance_layout())];
+    let layouts = [vertex_layout(), instance_layout(), offset_layout()].map(Some);
+    let buffers = match kind.reads {
+        Reads::Nothing => &layouts[..0],
+        Reads::Pages => &layouts[..2],
+        Reads::MorphedPages => &layouts[..],
+    };
     let target = wgpu::ColorTargetState {
         format: output.format,
         blend: kind.blend,
@@ -222,7 +249,7 @@ pub fn pipeline(
                 module: &module,
                 entry_point: Some("vertex"),
                 compilation_options: Default::default(),
-                buffers: if kind.reads_pages { &page_buffers } else { &[] },
+                buffers,
             },
             primitive: kind.primitive,
             depth_stencil: Some(wgpu::DepthStencilState {
@@ -247,7 +274,8 @@ pub fn pipeline(
         })
 }
 
-fn vertex_layout() -> wgpu::VertexBufferLayout<'static> {
+/// How the vertices of pages lie in their buffer.
+pub fn vertex_layout() -> wgpu::VertexBufferLayout<'static> {
     const ATTRIBUTES: [wgpu::VertexAttribute; 2] =
         wgpu::vertex_attr_array![0 => Sint32, 1 => Snorm16x2];
     wgpu::VertexBufferLayout {
@@ -257,12 +285,23 @@ fn vertex_layout() -> wgpu::VertexBufferLayout<'static> {
     }
 }
 
-fn instance_layout() -> wgpu::VertexBufferLayout<'static> {
+/// How the places of pages lie in their buffer.
+pub fn instance_layout() -> wgpu::VertexBufferLayout<'static> {
     const ATTRIBUTES: [wgpu::VertexAttribute; 2] =
         wgpu::vertex_attr_array![2 => Sint32x2, 3 => Uint32];
     wgpu::VertexBufferLayout {
         array_stride: size_of::<PageInstance>() as u64,
         step_mode: wgpu::VertexStepMode::Instance,
+        attributes: &ATTRIBUTES,
+    }
+}
+
+fn offset_layout() -> wgpu::VertexBufferLayout<'static> {
+    const ATTRIBUTES: [wgpu::VertexAttribute; 2] =
+        wgpu::vertex_attr_array![4 => Float32, 5 => Snorm16x2];
+    wgpu::VertexBufferLayout {
+        array_stride: size_of::<Offset>() as u64,
+        step_mode: wgpu::VertexStepMode::Vertex,
         attributes: &ATTRIBUTES,
     }
 }

@@ -85,6 +85,27 @@ impl Gpu {
         self.device.limits().max_texture_dimension_2d
     }
 
+    /// Waits for what was submitted, and reads a buffer back.
+    ///
+    /// # Errors
+    /// [`GpuError::ReadBack`] if the device was lost meanwhile.
+    pub(super) fn read(&self, buffer: &wgpu::Buffer) -> Result<Vec<u8>, GpuError> {
+        let lost = |error: &dyn fmt::Display| GpuError::ReadBack(error.to_string());
+        let (send, receive) = std::sync::mpsc::channel();
+        buffer.map_async(wgpu::MapMode::Read, .., move |result| {
+            let _ = send.send(result);
+        });
+        let waited = self.device.poll(wgpu::PollType::wait_indefinitely());
+        waited.map_err(|error| lost(&error))?;
+        let mapped = receive.recv().map_err(|error| lost(&error))?;
+        mapped.map_err(|error| lost(&error))?;
+        let view = buffer.get_mapped_range(..).map_err(|error| lost(&error))?;
+        let bytes = view.to_vec();
+        drop(view);
+        buffer.unmap();
+        Ok(bytes)
+    }
+
     /// Whether triangles can be drawn as their edges.
     pub(super) fn draws_line_polygons(&self) -> bool {
         let features = self.device.features();

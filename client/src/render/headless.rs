@@ -92,23 +92,7 @@ impl Headless {
     }
 
     fn read(&self) -> Result<RgbaImage, GpuError> {
-        let (send, receive) = std::sync::mpsc::channel();
-        self.read_back
-            .map_async(wgpu::MapMode::Read, .., move |result| {
-                let _ = send.send(result);
-            });
-        let waited = self.gpu.device.poll(wgpu::PollType::wait_indefinitely());
-        waited.map_err(|error| GpuError::ReadBack(error.to_string()))?;
-        let mapped = receive
-            .recv()
-            .map_err(|error| GpuError::ReadBack(error.to_string()))?;
-        mapped.map_err(|error| GpuError::ReadBack(error.to_string()))?;
-        let view = self.read_back.get_mapped_range(..);
-        let view = view.map_err(|error| GpuError::ReadBack(error.to_string()))?;
-        let image = self.unpad(&view);
-        drop(view);
-        self.read_back.unmap();
-        Ok(image)
+        Ok(self.unpad(&self.gpu.read(&self.read_back)?))
     }
 
     /// Takes the padding off the rows, and brings the channels into the image's order.

@@ -27,6 +27,7 @@ mod scene;
 
 mod headless;
 mod overlay;
+mod probe;
 mod target;
 mod window;
 
@@ -38,6 +39,7 @@ pub use gpu::{Gpu, GpuError};
 pub use headless::{Headless, render_to_image};
 pub use overlay::UiFrame;
 pub use pages::UploadStats;
+pub use probe::{ProbePage, Probed, probe};
 pub use scene::{DrawParams, DrawStats, EXAGGERATIONS, PageSync, Scene};
 pub use target::Output;
 pub use window::{Presented, WindowTarget};

@@ -1,8 +1,8 @@
 //! The page meshes that are on the GPU, kept equal to those of the mesh tree.
 
 use super::gpu::Gpu;
-use super::pool::{Pool, Run, Staging};
-use crate::mesh::{PageMesh, Vertex};
+use super::pool::{Pool, Run, Staging, Twin};
+use crate::mesh::{Offset, PageMesh, Vertex};
 use escarp_proto::geometry::{PAGE_SAMPLES, PageId};
 use escarp_proto::georef::WorldBox;
 use std::collections::HashMap;
@@ -55,6 +55,7 @@ pub struct Resident {
     vertex_run: Run,
     vertex_stamp: u64,
     index_stamp: u64,
+    offset_stamp: u64,
     seen: u64,
     /// Its triangles; none if it has no indices.
     pub triangles: Option<Indices>,
@@ -85,6 +86,8 @@ pub struct Pages {
     gpu: Gpu,
     with_lines: bool,
     vertices: Pool,
+    /// Offsets of vertices, once any page has had some.
+    offsets: Option<Twin>,
     indices: Pool,
     resident: HashMap<PageId, Resident>,
     round: u64,
@@ -103,6 +106,7 @@ impl Pages {
             gpu: gpu.clone(),
             with_lines,
             vertices: Pool::new("page vertices", vertex, slot as u32, VERTEX_BLOCK_ORDER),
+            offsets: None,
             indices: Pool::new("page indices", index, unit as u32, INDEX_BLOCK_ORDER),
             resident: HashMap::new(),
             round: 0,
@@ -120,7 +124,7 @@ impl Pages {
     /// Keeps a page, and uploads what changed in it.
     ///
     /// # Panics
-    /// If the mesh has not the vertices of a page.
+    /// If the mesh has not the vertices of a page, or not as many offsets.
     pub fn keep(&mut self, mesh: &PageMesh) {
         assert_eq!(
             mesh.vertices.len(),
@@ -128,9 +132,12 @@ impl Pages {
             "vertices of page {}",
             mesh.id
         );
-        let fresh = (mesh.vertex_stamp, mesh.index_stamp);
+        if let Some(offsets) = &mesh.offsets {
+            assert_eq!(offsets.len(), PAGE_VERTICES, "offsets of page {}", mesh.id);
+        }
+        let fresh = (mesh.vertex_stamp, mesh.index_stamp, mesh.offset_stamp);
         if let Some(page) = self.resident.get_mut(&mesh.id)
-            && (page.vertex_stamp, page.index_stamp) == fresh
+            && (page.vertex_stamp, page.index_stamp, page.offset_stamp) == fresh
         {
             page.seen = self.round;
             return;
@@ -138,14 +145,17 @@ impl Pages {
         let known = self.resident.remove(&mesh.id);
         let stamps = known
             .as_ref()
-            .map(|page| (page.vertex_stamp, page.index_stamp));
+            .map(|page| (page.vertex_stamp, page.index_stamp, page.offset_stamp));
         let mut page = known.unwrap_or_else(|| self.enter(mesh));
-        if stamps.is_none_or(|(vertices, _)| vertices != mesh.vertex_stamp) {
+        if stamps.is_none_or(|(vertices, ..)| vertices != mesh.vertex_stamp) {
             let bytes = bytemuck::cast_slice(&mesh.vertices);
             self.staging
                 .put(&self.gpu, &self.vertices, page.vertex_run, bytes);
         }
-        if stamps.is_none_or(|(_, indices)| indices != mesh.index_stamp) {
+        if stamps.is_none_or(|(_, _, offsets)| offsets != mesh.offset_stamp) {
+            self.store_offsets(mesh, page.vertex_run);
+        }
+        if stamps.is_none_or(|(_, indices, _)| indices != mesh.index_stamp) {
             page.triangles = self.store(page.triangles, &mesh.indices);
             if self.with_lines {
                 page.lines = self.store(page.lines, &edges(&mesh.indices));
@@ -153,7 +163,7 @@ impl Pages {
         }
         self.stats.pages_changed += 1;
         page.seen = self.round;
-        (page.vertex_stamp, page.index_stamp) = fresh;
+        (page.vertex_stamp, page.index_stamp, page.offset_stamp) = fresh;
         (page.bounds, page.origin, page.stride) = (mesh.bounds, mesh.origin, mesh.stride);
         self.resident.insert(mesh.id, page);
     }
@@ -176,6 +186,9 @@ impl Pages {
         });
         self.stats.pages_removed = (before - self.resident.len()) as u32;
         self.staging.send(&self.gpu);
+        if let Some(offsets) = &mut self.offsets {
+            offsets.follow(&self.gpu, vertices);
+        }
         self.stats.bytes = std::mem::take(&mut self.staging.bytes);
         self.stats
     }
@@ -190,6 +203,16 @@ impl Pages {
         self.vertices.buffer(block)
     }
 
+    /// A block's offsets, if any page has had some.
+    pub fn offset_buffer(&self, block: u32) -> Option<&wgpu::Buffer> {
+        Some(self.offsets.as_ref()?.buffer(block))
+    }
+
+    /// Whether any page has had offsets.
+    pub fn have_offsets(&self) -> bool {
+        self.offsets.is_some()
+    }
+
     /// A block's indices.
     pub fn index_buffer(&self, block: u32) -> &wgpu::Buffer {
         self.indices.buffer(block)
@@ -201,6 +224,7 @@ impl Pages {
             vertex_run: self.vertices.take(&self.gpu, slot),
             vertex_stamp: 0,
             index_stamp: 0,
+            offset_stamp: 0,
             seen: 0,
             triangles: None,
             lines: None,
@@ -208,6 +232,21 @@ impl Pages {
             origin: mesh.origin,
             stride: mesh.stride,
         }
+    }
+
+    /// Stores a page's offsets. As long as no page has had any, there is no room for them.
+    fn store_offsets(&mut self, mesh: &PageMesh, run: Run) {
+        if self.offsets.is_none() && mesh.offsets.is_none() {
+            return;
+        }
+        let unit = PAGE_VERTICES * size_of::<Offset>();
+        let new = || Twin::new("page offsets", wgpu::BufferUsages::VERTEX, unit as u32);
+        let twin = self.offsets.get_or_insert_with(new);
+        twin.follow(&self.gpu, &self.vertices);
+        let none = [Offset::default(); PAGE_VERTICES];
+        let offsets = mesh.offsets.as_deref().unwrap_or(&none);
+        let bytes = bytemuck::cast_slice(offsets);
+        self.staging.put_beside(&self.gpu, twin, run, bytes);
     }
 
     /// Puts indices where the old ones were, or elsewhere if they do not suit.

@@ -95,6 +95,43 @@ impl Pool {
     }
 }
 
+/// A second buffer for each block of a pool, so that what lies there is found by the same runs.
+pub struct Twin {
+    label: &'static str,
+    usage: wgpu::BufferUsages,
+    unit_bytes: u32,
+    blocks: Vec<wgpu::Buffer>,
+}
+
+impl Twin {
+    pub fn new(label: &'static str, usage: wgpu::BufferUsages, unit_bytes: u32) -> Twin {
+        Twin {
+            label,
+            usage: usage | wgpu::BufferUsages::COPY_DST,
+            unit_bytes,
+            blocks: Vec::new(),
+        }
+    }
+
+    /// Takes a buffer, of zeros, for each block of the pool that has none.
+    pub fn follow(&mut self, gpu: &Gpu, pool: &Pool) {
+        while self.blocks.len() < pool.blocks.len() {
+            let buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {
+                label: Some(self.label),
+                size: u64::from(self.unit_bytes) << pool.block_order,
+                usage: self.usage,
+                mapped_at_creation: false,
+            });
+            self.blocks.push(buffer);
+        }
+    }
+
+    /// A block's buffer.
+    pub fn buffer(&self, block: u32) -> &wgpu::Buffer {
+        &self.blocks[block as usize]
+    }
+}
+
 /// Collects a frame's uploads, so that they cost one buffer and one submission.
 #[derive(Default)]
 pub struct Staging {
@@ -114,12 +151,22 @@ struct Copy {
 impl Staging {
     /// Stages bytes for a run. An odd end is padded to the four bytes that copies need.
     pub fn put(&mut self, gpu: &Gpu, pool: &Pool, run: Run, bytes: &[u8]) {
+        self.put_at(gpu, pool.buffer(run.block), pool.offset(run), bytes);
+    }
+
+    /// The same for a run in a pool's twin.
+    pub fn put_beside(&mut self, gpu: &Gpu, twin: &Twin, run: Run, bytes: &[u8]) {
+        let at = u64::from(run.unit) * u64::from(twin.unit_bytes);
+        self.put_at(gpu, twin.buffer(run.block), at, bytes);
+    }
+
+    fn put_at(&mut self, gpu: &Gpu, to: &wgpu::Buffer, at: u64, bytes: &[u8]) {
         let from = self.data.len();
         self.data.extend_from_slice(bytes);
         self.data.resize(self.data.len().next_multiple_of(4), 0);
         self.copies.push(Copy {
-            to: pool.buffer(run.block).clone(),
-            at: pool.offset(run),
+            to: to.clone(),
+            at,
             from: from as u64,
             len: (self.data.len() - from) as u64,
         });

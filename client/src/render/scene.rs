@@ -1,7 +1,7 @@
 //! The terrain as a whole: pages in, pictures out.
 
 use super::eye::EyeFrame;
-use super::frame::{Body, FrameBinding, FrameUniform, PageInstance};
+use super::frame::{Body, FrameBinding, FrameUniform, PageInstance, Reads};
 use super::gpu::Gpu;
 use super::pages::{Indices, Pages, Resident, UploadStats};
 use super::target::{Attachments, Output};
@@ -93,10 +93,26 @@ pub struct Scene {
 }
 
 struct Passes {
-    terrain: wgpu::RenderPipeline,
-    wireframe: wgpu::RenderPipeline,
+    ground: Ground,
+    /// The same for vertices on their way; made when the first are.
+    morphed: Option<Ground>,
     lines_from_lists: bool,
     sky: wgpu::RenderPipeline,
+}
+
+/// The passes that read pages.
+struct Ground {
+    terrain: wgpu::RenderPipeline,
+    wireframe: wgpu::RenderPipeline,
+}
+
+impl Ground {
+    fn new(gpu: &Gpu, frame: &FrameBinding, output: Output, lists: bool, reads: Reads) -> Ground {
+        Ground {
+            terrain: terrain::new(gpu, frame, output, reads),
+            wireframe: wireframe::new(gpu, frame, output, lists, reads),
+        }
+    }
 }
 
 impl Scene {
@@ -127,8 +143,8 @@ impl Scene {
             output,
             pages: Pages::new(gpu, lists),
             passes: Passes {
-                terrain: terrain::new(gpu, &frame, output),
-                wireframe: wireframe::new(gpu, &frame, output, lists),
+                ground: Ground::new(gpu, &frame, output, lists, Reads::Pages),
+                morphed: None,
                 lines_from_lists: lists,
                 sky: sky::new(gpu, &frame, output),
             },
@@ -180,12 +196,15 @@ impl Scene {
         let eye = EyeFrame::of(&params.view, &self.georef, params.exaggeration);
         let frame = FrameUniform::new(&eye, &self.body, &params, self.output);
         self.frame.write(&self.gpu, &frame);
+        self.prepare_morph();
+        let ground = self.passes.morphed.as_ref();
+        let ground = ground.unwrap_or(&self.passes.ground);
         let (visible, mut stats) = visible(&self.pages, &eye);
         write_instances(&self.gpu, &mut self.instances, &visible, &eye);
         let clear = background.unwrap_or(wgpu::Color::BLACK);
         let mut pass = attachments.begin(encoder, view, clear);
         self.frame.bind(&mut pass);
-        pass.set_pipeline(&self.passes.terrain);
+        pass.set_pipeline(&ground.terrain);
         stats.triangles_drawn = self.draw_pages(&mut pass, &visible, |page| page.triangles) / 3;
         if background.is_none() {
             pass.set_pipeline(&self.passes.sky);
@@ -193,11 +212,21 @@ impl Scene {
         }
         if params.wireframe {
             let lists = self.passes.lines_from_lists;
-            pass.set_pipeline(&self.passes.wireframe);
+            pass.set_pipeline(&ground.wireframe);
             let indices = |page: &Resident| if lists { page.lines } else { page.triangles };
             self.draw_pages(&mut pass, &visible, indices);
         }
         stats
+    }
+
+    /// Makes the passes for vertices on their way, once there are any.
+    fn prepare_morph(&mut self) {
+        if self.pages.have_offsets() && self.passes.morphed.is_none() {
+            let lists = self.passes.lines_from_lists;
+            let reads = Reads::MorphedPages;
+            let ground = Ground::new(&self.gpu, &self.frame, self.output, lists, reads);
+            self.passes.morphed = Some(ground);
+        }
     }
 
     /// One draw for each page; returns how many indices were drawn.
@@ -212,7 +241,11 @@ impl Scene {
         for (instance, page) in (0..).zip(visible) {
             let Some(list) = indices(page) else { continue };
             if vertex_block.replace(page.vertex_block()) != Some(page.vertex_block()) {
-                pass.set_vertex_buffer(0, self.pages.vertex_buffer(page.vertex_block()).slice(..));
+                let block = page.vertex_block();
+                pass.set_vertex_buffer(0, self.pages.vertex_buffer(block).slice(..));
+                if let Some(offsets) = self.pages.offset_buffer(block) {
+                    pass.set_vertex_buffer(2, offsets.slice(..));
+                }
             }
             if index_block.replace(list.block()) != Some(list.block()) {
                 let buffer = self.pages.index_buffer(list.block());

@@ -5,7 +5,7 @@ use super::{DrawParams, Gpu, Headless, Output, Scene, render_to_image};
 use crate::app::TerrainClient;
 use crate::app::fake::{FakeTerrain, full_triangles};
 use crate::camera::{DEFAULT_FOV_Y, look_at, overview};
-use crate::mesh::{PageMesh, Vertex};
+use crate::mesh::{Offset, PageMesh, Vertex};
 use escarp_proto::geometry::PageId;
 use escarp_proto::georef::{Georef, Plane, WorldBox};
 use escarp_proto::view::View;
@@ -185,6 +185,8 @@ fn seam(georef: &Georef, torn: bool) -> Vec<PageMesh> {
                 },
                 vertices: vertices.collect(),
                 vertex_stamp: id.key() + 1,
+                offsets: None,
+                offset_stamp: 0,
                 indices: if stride == 1 { fans } else { full_triangles() },
                 index_stamp: id.key() + 1,
             }
@@ -294,4 +296,55 @@ fn no_background_shines_through_a_seam_of_pages_from_any_eye() {
 #[test]
 fn the_seam_test_finds_a_seam_that_is_torn() {
     assert!(holes([1e7, -1e7], 30.0, true) > 100);
+}
+
+#[test]
+fn vertices_on_their_way_are_drawn_where_they_are_and_leave_no_trace() {
+    let terrain = FakeTerrain::new(4, Plane::Local, 16);
+    let params = DrawParams::new(overview_of(&terrain, [160, 120]));
+    let mut scene = scene_of(&terrain, 1, false);
+    let mut draw = |pages: &[PageMesh]| {
+        scene.sync(pages.iter());
+        render_to_image(gpu(), &mut scene, &params).unwrap()
+    };
+    let still = draw(terrain.pages());
+    // Heights so much too low, and offsets that make up for it: the same picture.
+    let offset = |k: usize| (k % 7) as i32 * 400;
+    let lowered = |page: &PageMesh, with: bool, stamp: u64| {
+        let mut page = page.clone();
+        let vertices = page.vertices.iter_mut().enumerate();
+        vertices.for_each(|(k, vertex)| vertex.height -= offset(k));
+        let rise = |k| Offset {
+            rise: offset(k) as f32,
+            ..Offset::default()
+        };
+        let offsets = (0..289).map(rise).collect();
+        page.offsets = with.then_some(offsets);
+        page.vertex_stamp += 1 << 40;
+        page.offset_stamp = stamp;
+        page
+    };
+    let pages = |with, stamp| -> Vec<PageMesh> {
+        let pages = terrain.pages().iter();
+        pages.map(|page| lowered(page, with, stamp)).collect()
+    };
+    let low = draw(&pages(false, 0));
+    assert!(
+        share_off(&low, &still) > 0.02,
+        "{}",
+        share_off(&low, &still)
+    );
+    assert!(share_off(&draw(&pages(true, 1)), &still) < 0.001);
+    // Offsets go as they came, and a page that takes the place of another has none of its own.
+    assert_eq!(draw(&pages(false, 2)), low);
+    draw(&pages(true, 3));
+    draw(&[]);
+    assert_eq!(draw(&pages(false, 0)), low);
+}
+
+/// Share of pixels that differ by more than a few steps.
+fn share_off(a: &RgbaImage, b: &RgbaImage) -> f64 {
+    let pairs = a.pixels().zip(b.pixels());
+    let off = pairs.filter(|(a, b)| (0..3).any(|c| a.0[c].abs_diff(b.0[c]) > 4));
+    off.count() as f64 / (a.width() * a.height()) as f64
 }

@@ -6,6 +6,7 @@ use super::plan::Plan;
 use super::variant::Variant;
 use super::write;
 use super::{flight, tables};
+use crate::stability;
 use anyhow::{Context, Result, ensure};
 use clap::Parser;
 use clap::error::ErrorKind;
@@ -21,7 +22,7 @@ use std::sync::Arc;
 #[command(name = "escarp-report", version, after_help = EXAMPLES)]
 pub struct Cli {
     /// Datasets, as `escarp-tiles build` makes them
-    #[arg(required = true, value_name = "DATASET")]
+    #[arg(required_unless_present = "stability", value_name = "DATASET")]
     datasets: Vec<PathBuf>,
     /// Folder for the report; one below it for each dataset if there are several
     #[arg(short, long, value_name = "DIR")]
@@ -42,6 +43,9 @@ pub struct Cli {
     /// Fewer frames, tolerances and repeats: under a minute for a million samples
     #[arg(long)]
     quick: bool,
+    /// Run the stiff and extreme cases instead, on datasets of their own, and write their table
+    #[arg(long, conflicts_with_all = ["datasets", "path", "meshers", "error_px", "lines", "quick"])]
+    stability: bool,
 }
 
 const EXAMPLES: &str = "\
@@ -51,6 +55,7 @@ each plot as SVG and PNG. Prints a short table.
 Examples:
   escarp-report everest.escarp -o report
   escarp-report everest.escarp moon.escarp --quick -o reports
+  escarp-report --stability -o stability
   escarp-report moon.escarp --path docs/moon-flight.json --meshers quadtree,roam --error-px 1,2,4 -o report
 
 Exit codes: 0 done; 1 failed; 2 wrong usage.";
@@ -107,6 +112,9 @@ fn folders(output: &Path, datasets: &[Arc<Dataset>]) -> Vec<PathBuf> {
 /// # Errors
 /// What stopped it.
 pub fn run(cli: &Cli) -> Result<()> {
+    if cli.stability {
+        return run_stability(&cli.output);
+    }
     let plan = cli.plan().unwrap_or_else(|error| error.exit());
     let datasets: Vec<Arc<Dataset>> = cli
         .datasets
@@ -136,6 +144,22 @@ pub fn run(cli: &Cli) -> Result<()> {
     if reports.len() > 1 {
         write::index(&cli.output, &reports)?;
     }
+    Ok(())
+}
+
+/// Runs the stiff and extreme cases, and prints those that fail.
+fn run_stability(folder: &Path) -> Result<()> {
+    std::fs::create_dir_all(folder)
+        .with_context(|| format!("cannot make the folder {}", folder.display()))?;
+    let bar = Progress::new(stability::cases());
+    let rows = stability::run(&|case| bar.step("stability", case));
+    bar.end();
+    stability::render::write(folder, &rows)
+        .with_context(|| format!("cannot write to {}", folder.display()))?;
+    for row in rows.iter().filter(|row| row.verdict.is_failure()) {
+        println!("{}: {}", row.case, row.verdict);
+    }
+    println!("{}", stability::render::summary(&rows));
     Ok(())
 }
 

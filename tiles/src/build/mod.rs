@@ -27,7 +27,7 @@ use crate::dem::{self, DemError, DemSource, Fills};
 use crate::frame::{georef_of, scale_error_percent};
 use above::MemoryRows;
 use checkpoint::Checkpoints;
-use escarp_proto::geometry::GridLevels;
+use escarp_proto::geometry::{GridLevels, MAX_GRID_LEVELS};
 use escarp_proto::manifest::{FORMAT, FileCheck, Manifest, VERSION};
 use escarp_proto::page::{Codec, PageError};
 use std::path::{Path, PathBuf};
@@ -116,8 +116,12 @@ pub fn build(
         path: info.path.clone(),
         why,
     };
-    let grid = GridLevels::covering(info.width, info.height)
-        .ok_or_else(|| unfit(format!("{} x {} samples", info.width, info.height)))?;
+    let grid = GridLevels::covering(info.width, info.height).ok_or_else(|| {
+        unfit(format!(
+            "{} x {} samples, allowed are 2^{MAX_GRID_LEVELS} + 1 a side",
+            info.width, info.height
+        ))
+    })?;
     if u64::from(info.width) * u64::from(info.height) > MAX_SAMPLES {
         return Err(unfit(format!(
             "{} x {} samples, allowed are {MAX_SAMPLES} in all; are the inputs of one area?",

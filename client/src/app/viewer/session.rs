@@ -316,7 +316,7 @@ impl Session {
         world.sync(client, &view.clamped().0);
         self.facts.upload_ms = began.elapsed().as_secs_f32() * 1e3;
         client.uploaded(self.facts.upload_ms);
-        let loading = !step.converged || step.chunks_waiting > 0;
+        let loading = !step.converged || !step.steady || step.chunks_waiting > 0;
         self.unsettled = loading || step_differs(&step, &self.facts.step);
         self.facts.step = step;
         self.facts.above_ground_m = world.ground_m.map(|_| world.above_ground_m(exaggeration));

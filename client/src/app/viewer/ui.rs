@@ -2,7 +2,7 @@
 
 use super::input::HELP;
 use crate::app::StepStats;
-use crate::mesh::{BLOCK_LEVELS, MeshOptions, MesherKind, Metric};
+use crate::mesh::{BLOCK_LEVELS, DEFAULT_MORPH, MeshOptions, MesherKind, Metric};
 use crate::render::DrawStats;
 use egui::{Align2, Color32, ComboBox, Frame, RichText, Slider, Ui, Window};
 
@@ -218,6 +218,10 @@ fn mesh(ui: &mut Ui, mesh: &mut MeshOptions) {
             level(ui, &mut mesh.level);
         }
         ui.label("mesher, metric");
+        let mut morph = mesh.morph > 0.0;
+        if ui.checkbox(&mut morph, "morph").changed() {
+            mesh.morph = if morph { DEFAULT_MORPH } else { 0.0 };
+        }
     });
 }
 

@@ -1,6 +1,6 @@
 //! The pass that fills what the ground left open.
 
-use super::frame::{FrameBinding, PassKind, pipeline};
+use super::frame::{FrameBinding, PassKind, Reads, pipeline};
 use super::gpu::Gpu;
 use super::target::Output;
 
@@ -9,7 +9,7 @@ pub fn new(gpu: &Gpu, frame: &FrameBinding, output: Output) -> wgpu::RenderPipel
     let kind = PassKind {
         label: "sky",
         shader: include_str!("sky.wgsl"),
-        reads_pages: false,
+        reads: Reads::Nothing,
         primitive: wgpu::PrimitiveState::default(),
         writes_depth: false,
         // Depth 0 equals what the depth was cleared to, and nothing else.

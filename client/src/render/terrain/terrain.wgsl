@@ -17,8 +17,9 @@ fn vertex(
     var ground: Ground;
     ground.from_eye = place(index, height, page);
     ground.clip = frame.clip_from_eye * vec4f(ground.from_eye, 1.0);
-    ground.normal = vec3f(normal, sqrt(max(1.0 - dot(normal, normal), 0.0)));
-    ground.height = f32(height - frame.heights.y) * frame.range.x;
+    let shown = displayed_normal(normal, page);
+    ground.normal = vec3f(shown, sqrt(max(1.0 - dot(shown, shown), 0.0)));
+    ground.height = quanta_above(height, frame.heights.y, page) * frame.range.x;
     return ground;
 }
 

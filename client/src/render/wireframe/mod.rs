@@ -1,6 +1,6 @@
 //! The pass that draws the triangles' edges over the ground.
 
-use super::frame::{FrameBinding, PassKind, pipeline};
+use super::frame::{FrameBinding, PassKind, Reads, pipeline};
 use super::gpu::Gpu;
 use super::target::Output;
 
@@ -10,7 +10,13 @@ pub fn needs_line_lists(gpu: &Gpu) -> bool {
 }
 
 /// Its pipeline, fed with line lists or with the triangles themselves.
-pub fn new(gpu: &Gpu, frame: &FrameBinding, output: Output, lists: bool) -> wgpu::RenderPipeline {
+pub fn new(
+    gpu: &Gpu,
+    frame: &FrameBinding,
+    output: Output,
+    lists: bool,
+    reads: Reads,
+) -> wgpu::RenderPipeline {
     let (topology, polygon_mode) = if lists {
         (wgpu::PrimitiveTopology::LineList, wgpu::PolygonMode::Fill)
     } else {
@@ -22,7 +28,7 @@ pub fn new(gpu: &Gpu, frame: &FrameBinding, output: Output, lists: bool) -> wgpu
     let kind = PassKind {
         label: "wireframe",
         shader: include_str!("wireframe.wgsl"),
-        reads_pages: true,
+        reads,
         primitive: wgpu::PrimitiveState {
             topology,
             polygon_mode,

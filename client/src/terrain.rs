@@ -151,7 +151,7 @@ impl Terrain {
         &self.wants
     }
 
-    /// Brings the mesh up to date for a view, which must be checked, with all that has arrived.
+    /// Brings the mesh up to date for a view with all that has arrived.
     pub fn update(&mut self, view: &View) -> TerrainStep {
         let (mut step, mut stages) = (TerrainStep::default(), Stages::untimed());
         self.link_arrived(&mut step, &mut stages);
@@ -168,15 +168,18 @@ impl Terrain {
         self.arrived.is_empty()
     }
 
-    /// Brings the mesh up to date for a view, which must be checked, with the pages that are
-    /// linked; `step` is what linking them came to.
+    /// Brings the mesh up to date for a view, [clamped](View::clamped) if it is not in order, with
+    /// the pages that are linked; `step` is what linking them came to.
     pub fn finish(
         &mut self,
         view: &View,
         mut step: TerrainStep,
         stages: &mut Stages<'_>,
     ) -> TerrainStep {
-        step.excess = stages.time(Stage::Update, || self.tree.update(view)).excess;
+        let (view, _) = view.clamped();
+        step.excess = stages
+            .time(Stage::Update, || self.tree.update(&view))
+            .excess;
         let evicted = stages.time(Stage::Link, || self.tree.evict(self.memory_cap_bytes));
         step.dropped.extend(evicted);
         for page in &step.dropped {

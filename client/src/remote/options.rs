@@ -1,0 +1,50 @@
+//! How a client works: memory, mesher, budgets.
+
+use crate::governor::{Budgets, Governor};
+use crate::mesh::{MeshOptions, Metric};
+use crate::terrain::DEFAULT_MEMORY_BYTES;
+use std::time::Duration;
+
+/// How a client works.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ClientOptions {
+    /// Most memory for resident pages, bytes.
+    pub memory_cap_bytes: usize,
+    /// How it meshes.
+    pub mesh: MeshOptions,
+    /// Most milliseconds a frame of updating, triangulating and uploading: the tolerance follows.
+    pub max_ms: Option<f64>,
+    /// How long a step may take. Pages for which there is no time wait for the next one; at least
+    /// one is linked in each.
+    pub frame_budget: Option<Duration>,
+}
+
+impl Default for ClientOptions {
+    fn default() -> ClientOptions {
+        ClientOptions {
+            memory_cap_bytes: DEFAULT_MEMORY_BYTES,
+            mesh: MeshOptions::default(),
+            max_ms: None,
+            frame_budget: None,
+        }
+    }
+}
+
+impl ClientOptions {
+    /// Whether a mesh with all its pages is within the tolerance. A mesher that keeps to a number
+    /// of triangles by itself may not be.
+    pub(super) fn promises_tolerance(&self) -> bool {
+        let MeshOptions { mesher, metric, .. } = self.mesh;
+        let capped = mesher.keeps_triangles() && self.mesh.max_triangles.is_some();
+        mesher.keeps_tolerance() && metric == Metric::Bounding && !capped
+    }
+
+    /// The governor of those budgets that a mesher does not keep by itself.
+    pub(super) fn governor(&self) -> Governor {
+        let left = (self.mesh.max_triangles).filter(|_| !self.mesh.mesher.keeps_triangles());
+        Governor::new(Budgets {
+            max_triangles: left.map(u64::from),
+            max_ms: self.max_ms,
+        })
+    }
+}
