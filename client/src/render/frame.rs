@@ -10,9 +10,9 @@ use escarp_proto::georef::{Georef, Plane};
 use glam::{DVec3, Vec3};
 
 /// Shader source that every pass begins with.
-const COMMON: &str = include_str!("common.wgsl");
+pub const COMMON: &str = include_str!("common.wgsl");
 /// Vertices at their heights, or on their way.
-const STILL: &str = include_str!("still.wgsl");
+pub const STILL: &str = include_str!("still.wgsl");
 const MORPHED: &str = include_str!("morphed.wgsl");
 
 /// Whether a pass reads pages, and how they are placed.

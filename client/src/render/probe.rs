@@ -3,7 +3,7 @@
 
 use super::eye::EyeFrame;
 use super::frame::{
-    Body, COMMON, FrameBinding, FrameUniform, PageInstance, instance_layout, vertex_layout,
+    Body, COMMON, FrameBinding, FrameUniform, PageInstance, STILL, instance_layout, vertex_layout,
 };
 use super::gpu::{Gpu, GpuError};
 use super::pages::PAGE_VERTICES;
@@ -158,7 +158,7 @@ fn draw(
 }
 
 fn pipeline(gpu: &Gpu, frame: &FrameBinding, pages: usize) -> wgpu::RenderPipeline {
-    let source = format!("{COMMON}\nconst PAGES = {pages}u;\n{SHADER}");
+    let source = format!("{COMMON}\n{STILL}\nconst PAGES = {pages}u;\n{SHADER}");
     let module = gpu
         .device
         .create_shader_module(wgpu::ShaderModuleDescriptor {
