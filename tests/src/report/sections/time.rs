@@ -197,14 +197,13 @@ fn windows(run: &Run, number: usize, of: fn(&FrameRow) -> f64) -> Vec<Series> {
 pub(super) fn pops(report: &Report) -> Section {
     let (name, px) = (&report.dataset.name, report.reference_px);
     let series = report.pops.iter().enumerate().map(|(i, pops)| {
-        let morph = if pops.morph { ", morph" } else { "" };
         let rows = pops
             .histogram
             .iter()
             .skip(1)
             .filter(|row| row.0 >= 1e-4 && row.1 > 0.0);
         let points = rows.map(|&(from, share)| [from, share]).collect();
-        Series::new(&format!("{}{morph}", pops.mesher), i, Style::Steps, points)
+        Series::new(&pops.mesher.to_string(), i, Style::Steps, points)
     });
     let mut table = Table::new(&[
         "mesher",
