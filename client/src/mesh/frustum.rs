@@ -33,19 +33,22 @@ impl Frustum {
         }
     }
 
-    /// Whether all of a box is within the sides, so that any box in it may be seen.
+    /// Whether all of a box is within the sides, so that any box in it may be seen. Of a box that
+    /// holds nothing none is.
     pub fn sees_all(&self, region: &WorldBox) -> bool {
-        self.sides.iter().all(|normal| {
-            let nearest = |i: usize| {
-                let corner = if normal[i] > 0.0 {
-                    region.min[i]
-                } else {
-                    region.max[i]
+        let is_empty = (0..3).any(|axis| region.min[axis] > region.max[axis]);
+        !is_empty
+            && self.sides.iter().all(|normal| {
+                let nearest = |i: usize| {
+                    let corner = if normal[i] > 0.0 {
+                        region.min[i]
+                    } else {
+                        region.max[i]
+                    };
+                    (corner - self.eye_m[i]) * normal[i]
                 };
-                (corner - self.eye_m[i]) * normal[i]
-            };
-            (0..3).map(nearest).sum::<f64>() >= 0.0
-        })
+                (0..3).map(nearest).sum::<f64>() >= 0.0
+            })
     }
 
     /// Whether any of a box may be seen. Never says no to a box that can be.

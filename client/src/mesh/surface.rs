@@ -8,8 +8,10 @@ use super::squares::{PAGE_SQUARES, Squares};
 use super::vertices::{VertexRef, VertexState};
 use super::wants::Wishes;
 use escarp_proto::geometry::{Edge, GridLevels, PAGE_SLOTS, PageId, Slot};
-use escarp_proto::georef::Georef;
-use escarp_proto::page::{Bounds, BoxError, ChildSlot, PAGE_AREA, Page, PageError, SquareErrors};
+use escarp_proto::georef::{Georef, WorldBox};
+use escarp_proto::page::{
+    Bounds, BoxError, ChildSlot, PAGE_AREA, Page, PageError, Range, SquareErrors,
+};
 use std::collections::HashMap;
 use thiserror::Error;
 
@@ -282,13 +284,13 @@ impl Surface {
         let (x, y) = self.grid.page_origin(id);
         let stride = self.grid.page_stride(id);
         let range = bounds.box_error(0, 0, 0).range;
-        let cells = self.grid.square_cells(id.level());
+        let bounds_m = self.world_box(id, range);
         Node {
             mesh: PageMesh {
                 id,
                 origin: [x, y],
                 stride,
-                bounds: self.georef.world_box([x, x + cells], [y, y + cells], range),
+                bounds: bounds_m,
                 vertices: Vec::new(),
                 vertex_stamp: 0,
                 offsets: None,
@@ -316,6 +318,12 @@ impl Surface {
         }
     }
 
+    fn world_box(&self, page: PageId, range: Range) -> WorldBox {
+        let (x, y) = self.grid.page_origin(page);
+        let cells = self.grid.square_cells(page.level());
+        self.georef.world_box([x, x + cells], [y, y + cells], range)
+    }
+
     /// The page above, and its slot for this one.
     fn parent_of(&self, id: PageId) -> Result<Option<(Index, Slot)>, LinkError> {
         let Some((parent, slot)) = id.parent() else {
@@ -337,7 +345,10 @@ impl Surface {
         };
         let bounds = self.vetted_bounds(&page, known)?;
         let squares = Squares::of(&bounds, page.id(), self.grid, &self.georef);
+        let range = bounds.box_error(0, 0, 0).range;
+        let world_box = self.world_box(page.id(), range);
         let node = self.node_mut(index);
+        node.mesh.bounds = world_box;
         let before = node.more_bytes();
         node.outlines = page.has_holes().then(|| Box::new(bounds));
         node.page = page;
