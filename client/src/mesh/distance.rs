@@ -105,7 +105,8 @@ impl Distance {
     fn travel(&mut self, eye_m: [f64; 3]) {
         if let Some(last) = self.eye_m {
             let step = (0..3).map(|axis| (eye_m[axis] - last[axis]).abs());
-            self.travel_m += step.fold(0.0, f64::max);
+            // Never less than it is: steps too small for the sum count as its last digit.
+            self.travel_m = (self.travel_m + step.fold(0.0, f64::max)).next_up();
         }
         self.eye_m = Some(eye_m);
     }
@@ -182,14 +183,13 @@ impl Pass<'_> {
         }
     }
 
-    /// Wants the page below a cell, if it is missing. One that is resident is visited by itself.
+    /// Wants the page below a cell, if it is missing. One that is resident is visited by itself,
+    /// but may be gone when it is needed next.
     fn want_below(&mut self, surface: &mut Surface, cell: PageSquare) {
-        if surface.square_below(self.page, cell).is_some() {
-            return;
-        }
         let near = near_below(surface, self.sizes, self.page, cell);
         self.slack_m = self.slack_m.min(near.slack_m());
-        if near.is_too_large() {
+        let is_missing = surface.square_below(self.page, cell).is_none();
+        if is_missing && near.is_too_large() {
             self.is_done = false;
             surface.want_below(self.page, cell, near.times());
         }

@@ -30,7 +30,7 @@ pub struct Cli {
     /// Flight, JSON as `escarp-client fly` reads it; default: from the overview down to a low flight
     #[arg(long, value_name = "FILE.json")]
     path: Option<PathBuf>,
-    /// Meshers, each with `:local` for the article's metric; default: all there are
+    /// Meshers, each with `:local` for the article's metric, `+morph` for vertices that come and go gradually; default: all there are
     #[arg(long, value_name = "NAME,...", value_delimiter = ',')]
     meshers: Vec<Variant>,
     /// Tolerances, pixels; default: 0.5,1,2,4,8,16,32, quick 1,2,4,16

@@ -185,7 +185,7 @@ pub fn measure(
     let moving = 1.0 - still;
     Ok(Pops {
         mesher: variant,
-        morph: false,
+        morph: variant.morph,
         error_px,
         steps,
         eye_step_m: moved_m / steps.max(1) as f64,

@@ -61,7 +61,7 @@ impl Stages {
 /// A frame that has all that it wished for.
 #[derive(Debug, Clone, Copy)]
 pub struct Converged {
-    /// Of the last update; changes are those of all.
+    /// Of the last update; changes, splits and merges are those of all.
     pub stats: UpdateStats,
     /// What it took.
     pub stages: Stages,
@@ -98,16 +98,18 @@ impl<'a> Supply<'a> {
     /// If the dataset is damaged, the mesh does not converge, or takes more memory than allowed.
     pub fn converge(&mut self, view: &View) -> Result<Converged> {
         let mut stages = Stages::default();
-        let mut changes = 0;
+        let (mut changes, mut splits, mut merges) = (0, 0, 0);
         for rounds in 1..=MOST_ROUNDS {
             let (mut stats, ms) = timed(|| self.tree.update(view));
             stages.update_ms += ms;
             changes += stats.changes;
+            splits += stats.splits;
+            merges += stats.merges;
             let wishes = self.tree.wishes();
             if wishes.is_empty() {
                 let (triangles, ms) = timed(|| self.tree.triangulate());
                 stages.triangulate_ms += ms;
-                stats.changes = changes;
+                (stats.changes, stats.splits, stats.merges) = (changes, splits, merges);
                 return Ok(Converged {
                     stats,
                     stages,

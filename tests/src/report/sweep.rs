@@ -29,6 +29,10 @@ pub struct FrameRow {
     pub triangles: u64,
     /// Vertices enabled or disabled, pages linked or unlinked, while pages came.
     pub changes: u64,
+    /// Vertices enabled while pages came.
+    pub splits: u64,
+    /// Vertices disabled while pages came.
+    pub merges: u64,
     /// Squares tested when all pages were there.
     pub squares: u64,
     /// Updates until nothing was wished for.
@@ -162,6 +166,10 @@ pub struct Run {
     pub triangles_max: u64,
     /// Mean changes of a frame while pages come, leaps left out.
     pub changes_mean: f64,
+    /// Mean splits of a frame while pages come, leaps left out.
+    pub splits_mean: f64,
+    /// Mean merges of a frame while pages come, leaps left out.
+    pub merges_mean: f64,
     /// Largest bound that was stated, over the tolerance.
     pub excess_max: f64,
     /// The error, measured.
@@ -244,6 +252,8 @@ fn fly(
         resident: Stages::default(),
         triangles: here.triangles,
         changes: here.stats.changes,
+        splits: here.stats.splits,
+        merges: here.stats.merges,
         squares: here.stats.squares,
         rounds: here.rounds,
         bytes: supply.bytes - before,
@@ -300,6 +310,8 @@ fn summary(
         triangles_mean: average(|row| row.triangles),
         triangles_max: frames.iter().map(|row| row.triangles).max().unwrap_or(0),
         changes_mean: average(|row| row.changes),
+        splits_mean: average(|row| row.splits),
+        merges_mean: average(|row| row.merges),
         excess_max: frames.iter().map(|row| row.excess).fold(0.0, f64::max),
         error,
         bytes,

@@ -156,6 +156,8 @@ pub fn runs_csv(report: &Report) -> Table {
         "cold_ms",
         "teleport_ms",
         "changes_mean",
+        "splits_mean",
+        "merges_mean",
         "excess_max",
         "rms_px",
         "p999_px",
@@ -210,6 +212,8 @@ fn run_row(run: &Run) -> Vec<String> {
     row.push(teleport.unwrap_or_default());
     let numbers = [
         run.changes_mean,
+        run.splits_mean,
+        run.merges_mean,
         run.excess_max,
         error.rms_px,
         error.p999_px,
@@ -253,6 +257,8 @@ pub fn frames_csv(report: &Report) -> Table {
         "resident_triangulate_ms",
         "triangles",
         "changes",
+        "splits",
+        "merges",
         "squares",
         "rounds",
         "bytes",
@@ -280,6 +286,8 @@ pub fn frames_csv(report: &Report) -> Table {
             let counts = [
                 frame.triangles,
                 frame.changes,
+                frame.splits,
+                frame.merges,
                 frame.squares,
                 frame.rounds.into(),
                 frame.bytes,

@@ -1,31 +1,42 @@
-//! What is compared: a mesher, and the metric that it goes by.
+//! What is compared: a mesher, the metric that it goes by, and whether its vertices morph.
 
-use escarp_client::mesh::{MeshOptions, MesherKind, Metric};
+use escarp_client::mesh::{DEFAULT_MORPH, MeshOptions, MesherKind, Metric};
 use serde::{Serialize, Serializer};
 use std::fmt;
 use std::str::FromStr;
 
-/// A mesher with its metric.
+/// What the name of a variant with morph ends in.
+const MORPH: &str = "+morph";
+
+/// A mesher with its metric, and with or without morph.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Variant {
     /// The mesher.
     pub mesher: MesherKind,
     /// What it takes for a triangle's error.
     pub metric: Metric,
+    /// Vertices come and go gradually.
+    pub morph: bool,
 }
 
 impl Variant {
-    /// Every mesher, and the quadtree with the article's metric.
+    /// Every mesher, and the quadtree with morph and with the article's metric.
     pub fn all() -> Vec<Variant> {
         let bounding = MesherKind::ALL.iter().map(|&mesher| Variant {
             mesher,
             metric: Metric::Bounding,
+            morph: false,
         });
-        let article = Variant {
+        let quadtree = |metric, morph| Variant {
             mesher: MesherKind::Quadtree,
-            metric: Metric::Local,
+            metric,
+            morph,
         };
-        bounding.chain([article]).collect()
+        let others = [
+            quadtree(Metric::Bounding, true),
+            quadtree(Metric::Local, false),
+        ];
+        bounding.chain(others).collect()
     }
 
     /// Whether it promises to keep the tolerance.
@@ -38,6 +49,7 @@ impl Variant {
         MeshOptions {
             mesher: self.mesher,
             metric: self.metric,
+            morph: if self.morph { DEFAULT_MORPH } else { 0.0 },
             ..MeshOptions::default()
         }
     }
@@ -45,18 +57,23 @@ impl Variant {
 
 impl fmt::Display for Variant {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self.metric {
-            Metric::Bounding => write!(f, "{}", self.mesher),
-            metric => write!(f, "{}:{metric}", self.mesher),
+        write!(f, "{}", self.mesher)?;
+        if self.metric != Metric::default() {
+            write!(f, ":{}", self.metric)?;
         }
+        f.write_str(if self.morph { MORPH } else { "" })
     }
 }
 
 impl FromStr for Variant {
     type Err = String;
 
-    /// `MESHER` or `MESHER:METRIC`.
+    /// `MESHER`, `MESHER:METRIC`, either with `+morph`.
     fn from_str(text: &str) -> Result<Variant, String> {
+        let (text, morph) = match text.strip_suffix(MORPH) {
+            Some(text) => (text, true),
+            None => (text, false),
+        };
         let (mesher, metric) = match text.split_once(':') {
             Some((mesher, metric)) => (mesher, metric.parse()?),
             None => (text, Metric::default()),
@@ -64,6 +81,7 @@ impl FromStr for Variant {
         Ok(Variant {
             mesher: mesher.parse()?,
             metric,
+            morph,
         })
     }
 }

@@ -50,7 +50,7 @@ fn pool() -> Case {
                 for power in 0..8 {
                     let mut feed = Feed::with_options(&data.dataset, options);
                     let one = page_bytes(&data, options);
-                    for n in 0..12 {
+                    for n in 0..6 {
                         let view = path(n, 4.0);
                         feed.tree.update(&view);
                         for wish in feed.tree.wishes() {

@@ -192,7 +192,8 @@ impl Morph {
     fn travel(&mut self, eye_m: [f64; 3]) {
         if let Some(last) = self.eye_m {
             let step = (0..3).map(|axis| (eye_m[axis] - last[axis]).abs());
-            self.travel_m += step.fold(0.0, f64::max);
+            // Never less than it is: steps too small for the sum count as its last digit.
+            self.travel_m = (self.travel_m + step.fold(0.0, f64::max)).next_up();
         }
         self.eye_m = Some(eye_m);
     }

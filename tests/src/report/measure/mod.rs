@@ -38,13 +38,16 @@ pub struct Triangle {
     pub exact: bool,
 }
 
-impl From<SurfaceTriangle> for Triangle {
-    fn from(triangle: SurfaceTriangle) -> Triangle {
-        let corners = triangle.corners.map(|(x, y, z)| (x, y, f64::from(z)));
+impl Triangle {
+    /// A triangle of a mesh whose corners are displayed at these heights, quanta.
+    fn displayed(triangle: SurfaceTriangle, heights: [f64; 3]) -> Triangle {
+        let places = triangle.corners;
+        let corners = std::array::from_fn(|i| (places[i].0, places[i].1, heights[i]));
+        let at_samples = places.map(|(_, _, height)| f64::from(height)) == heights;
         Triangle {
             corners,
             drawn: triangle.drawn,
-            exact: is_finest(&corners),
+            exact: at_samples && is_finest(&corners),
         }
     }
 }
@@ -52,7 +55,9 @@ impl From<SurfaceTriangle> for Triangle {
 /// All triangles of a mesh.
 pub fn triangles(tree: &MeshTree) -> Vec<Triangle> {
     let mut triangles = Vec::new();
-    tree.visit_triangles(|triangle| triangles.push(triangle.into()));
+    tree.visit_displayed(|triangle, heights| {
+        triangles.push(Triangle::displayed(triangle, heights));
+    });
     triangles
 }
 

@@ -85,7 +85,7 @@ impl Bars {
             let to = frame.x(axis, sum);
             if *part > 0.0 {
                 let (upper, lower) = (middle - 8.0, middle + 8.0);
-                drawing.rectangle([from, upper], [to, lower], Ink::Series(number), 0.9);
+                drawing.rectangle([from, upper], [to, lower], Ink::Series(number), 1.0);
                 from = to;
             }
         }

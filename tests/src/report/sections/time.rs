@@ -123,7 +123,8 @@ pub(super) fn frames(report: &Report) -> Section {
     let mut table = Table::new(&[
         "mesher",
         "asked px",
-        "changes a frame",
+        "splits a frame",
+        "merges a frame",
         "share of the mesh",
         "triangles, mean",
         "triangles, most",
@@ -132,8 +133,10 @@ pub(super) fn frames(report: &Report) -> Section {
         table.rows.push(vec![
             run.mesher.to_string(),
             run.error_px.to_string(),
-            number(run.changes_mean),
-            percent(run.changes_mean / run.triangles_mean.max(1.0)),
+            number(run.splits_mean),
+            number(run.merges_mean),
+            // Each is a vertex between two triangles.
+            percent(2.0 * (run.splits_mean + run.merges_mean) / run.triangles_mean.max(1.0)),
             number(run.triangles_mean),
             number(run.triangles_max as f64),
         ]);
@@ -141,7 +144,7 @@ pub(super) fn frames(report: &Report) -> Section {
     Section {
         title: "Changes and triangles, frame by frame",
         shows: format!(
-            "Vertices that are enabled or disabled, and pages that are linked, in each frame of the flight at {px} px; and \
+            "Vertices that are enabled or disabled in each frame of the flight at {px} px; and \
              the triangles of its mesh. A vertex that is enabled splits two triangles, one that is disabled merges them."
         ),
         correct: "Changes that are a small part of the mesh, as the picture changes little from frame to frame: ROAM's \
@@ -151,9 +154,9 @@ pub(super) fn frames(report: &Report) -> Section {
                 "changes",
                 chart(
                     format!("{name}: splits and merges a frame"),
-                    over_frames(|row| row.changes as f64),
+                    over_frames(|row| (row.splits + row.merges) as f64),
                     x,
-                    ("changes a frame", Scale::Linear),
+                    ("splits and merges a frame", Scale::Linear),
                     Vec::new(),
                 ),
             ),
@@ -194,14 +197,13 @@ fn windows(run: &Run, number: usize, of: fn(&FrameRow) -> f64) -> Vec<Series> {
 pub(super) fn pops(report: &Report) -> Section {
     let (name, px) = (&report.dataset.name, report.reference_px);
     let series = report.pops.iter().enumerate().map(|(i, pops)| {
-        let morph = if pops.morph { ", morph" } else { "" };
         let rows = pops
             .histogram
             .iter()
             .skip(1)
             .filter(|row| row.0 >= 1e-4 && row.1 > 0.0);
         let points = rows.map(|&(from, share)| [from, share]).collect();
-        Series::new(&format!("{}{morph}", pops.mesher), i, Style::Steps, points)
+        Series::new(&pops.mesher.to_string(), i, Style::Steps, points)
     });
     let mut table = Table::new(&[
         "mesher",

@@ -141,8 +141,8 @@ fn series(angle: f64) -> (i128, i128) {
     let (mut sin, mut cos) = (ONE, ONE);
     let (mut sin_term, mut cos_term) = (ONE, ONE);
     for k in 1..24i128 {
-        cos_term = -(cos_term * square >> 60) / ((2 * k - 1) * (2 * k));
-        sin_term = -(sin_term * square >> 60) / ((2 * k) * (2 * k + 1));
+        cos_term = -((cos_term * square) >> 60) / ((2 * k - 1) * (2 * k));
+        sin_term = -((sin_term * square) >> 60) / ((2 * k) * (2 * k + 1));
         cos += cos_term;
         sin += sin_term;
     }
