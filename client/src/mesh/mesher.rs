@@ -2,6 +2,7 @@
 
 use super::distance::Distance;
 use super::levels::Levels;
+use super::local::LocalQuadtree;
 use super::morph::{MORPH_SHARES, Morph};
 use super::quadtree::Quadtree;
 use super::roam::Roam;
@@ -239,7 +240,10 @@ impl MeshOptions {
 
     pub(super) fn mesher(&self) -> Box<dyn Mesher> {
         match self.mesher {
-            MesherKind::Quadtree => Box::new(Quadtree::new(self)),
+            MesherKind::Quadtree => match self.metric {
+                Metric::Bounding => Box::new(Quadtree::new(self)),
+                Metric::Local => Box::new(LocalQuadtree::default()),
+            },
             MesherKind::Roam => Box::new(Roam::new(self)),
             MesherKind::Distance => Box::new(Distance::new(self)),
             MesherKind::Levels => Box::new(Levels::new(self)),

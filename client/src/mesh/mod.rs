@@ -20,6 +20,7 @@ mod due;
 mod fans;
 mod frustum;
 mod levels;
+mod local;
 mod mesher;
 mod morph;
 mod page_mesh;

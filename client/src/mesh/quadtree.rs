@@ -270,4 +270,4 @@ impl Pass {
 }
 
 #[cfg(test)]
-mod tests;
+pub(super) mod tests;

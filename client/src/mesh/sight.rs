@@ -94,6 +94,48 @@ impl Sight {
         self.seen(error, self.square_box(node, square.child(quadrant), range))
     }
 
+    /// An edge vertex itself, with another error than the triangle's that it splits.
+    pub(super) fn vertex(
+        &self,
+        node: &Node,
+        square: PageSquare,
+        edge: Edge,
+        error: ErrorCode,
+    ) -> Seen {
+        let sample = square.edge(edge);
+        let x_m = self.line_m(node, sample % PAGE_SAMPLES, 0);
+        let y_m = self.line_m(node, sample / PAGE_SAMPLES, 1);
+        let at_m = [
+            x_m,
+            y_m,
+            f64::from(node.page.height(sample)) * self.quantum_m,
+        ];
+        let (reach_m, distance_m) = self.tests.sides(
+            error.metres(),
+            &WorldBox {
+                min: at_m,
+                max: at_m,
+            },
+        );
+        Seen {
+            reach_m,
+            distance_m,
+            region: self.edge_box(node, square, edge, node.squares.range(squares::at(square))),
+        }
+    }
+
+    /// As [`quadrant`](Self::quadrant), with another error.
+    pub(super) fn quadrant_with(
+        &self,
+        node: &Node,
+        square: PageSquare,
+        quadrant: Quadrant,
+        error: ErrorCode,
+    ) -> Seen {
+        let (_, range) = node.squares.quadrant(squares::at(square), quadrant);
+        self.seen(error, self.square_box(node, square.child(quadrant), range))
+    }
+
     /// What a square holds, and the box of all of it.
     pub(super) fn square(&self, node: &Node, square: PageSquare) -> (Kind, WorldBox) {
         let (column, row) = (square.column as usize, square.row as usize);

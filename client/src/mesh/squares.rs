@@ -32,7 +32,7 @@ impl ErrorCode {
     const CUT_BITS: u32 = 15;
 
     /// The smallest code of at least this error, which is finite and not negative.
-    fn covering(error_m: f64) -> ErrorCode {
+    pub(super) fn covering(error_m: f64) -> ErrorCode {
         let near = error_m as f32;
         let above = match f64::from(near) < error_m {
             true => near.next_up(),
@@ -166,6 +166,11 @@ impl Squares {
     /// Bounds of a square's edge triangles, by [`Edge`].
     pub(super) fn edges(&self, at: At) -> &[ErrorCode; 4] {
         &self.edges[at]
+    }
+
+    /// Bound of a square's two halves.
+    pub(super) fn halves(&self, at: At) -> ErrorCode {
+        self.halves[at]
     }
 
     /// Lowest and highest height of a square, in quanta.

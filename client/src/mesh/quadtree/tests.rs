@@ -61,9 +61,9 @@ impl Naive {
 }
 
 const GRID: u8 = 8;
-const SPACING_M: f64 = 10.0;
+pub(in crate::mesh) const SPACING_M: f64 = 10.0;
 
-fn georef() -> Georef {
+pub(in crate::mesh) fn georef() -> Georef {
     Georef {
         origin_m: [1000.0, -500.0],
         sample_spacing_m: [SPACING_M; 2],
@@ -72,7 +72,7 @@ fn georef() -> Georef {
     }
 }
 
-fn grid() -> GridLevels {
+pub(in crate::mesh) fn grid() -> GridLevels {
     GridLevels::new(GRID).unwrap()
 }
 
@@ -82,7 +82,7 @@ fn hash(x: u32, y: u32) -> u32 {
 }
 
 /// A ridge, a plain, roughness here and there, and a lake without data.
-fn height(x: u32, y: u32) -> Option<i32> {
+pub(in crate::mesh) fn height(x: u32, y: u32) -> Option<i32> {
     let (fx, fy) = (f64::from(x), f64::from(y));
     let lake = (fx - 60.0).hypot(fy - 190.0) < 25.0;
     let ridge = 400.0 * (-((fx - fy) / 40.0).powi(2)).exp();
@@ -95,7 +95,7 @@ fn height(x: u32, y: u32) -> Option<i32> {
 }
 
 /// The root page and the 256 below it.
-fn pages() -> Vec<Page> {
+pub(in crate::mesh) fn pages() -> Vec<Page> {
     let cells = PAGE_CELLS as u32;
     let samples = |x: u32, y: u32, stride: u32| -> ([i32; PAGE_AREA], [bool; PAGE_AREA]) {
         let place = |i: usize| {
@@ -166,7 +166,7 @@ fn step() -> impl Strategy<Value = Step> {
         )
 }
 
-fn surface_of(pages: &[Page]) -> Surface {
+pub(in crate::mesh) fn surface_of(pages: &[Page]) -> Surface {
     let mut surface = Surface::new(grid(), georef());
     for page in pages {
         surface.link(page.clone()).unwrap();

@@ -1,0 +1,128 @@
+//! The quadtree by the article's own errors: sound as a mesh, its bound stated, and not kept.
+
+use escarp_client::mesh::{MeshOptions, MeshTree, Metric};
+use escarp_proto::view::View;
+use escarp_tests::feed::Feed;
+use escarp_tests::measure::{check_cracks, measure, triangles};
+use escarp_tests::terrain::{TempDataset, cliff, hash, hills, holed_hills, spike};
+
+const SIZE: (u32, u32) = (230, 190);
+
+fn local() -> MeshOptions {
+    MeshOptions {
+        metric: Metric::Local,
+        ..MeshOptions::default()
+    }
+}
+
+fn view(eye_m: [f64; 3], look_m: [f64; 3], error_px: f32) -> View {
+    View {
+        eye_m,
+        direction: std::array::from_fn(|i| (look_m[i] - eye_m[i]) as f32),
+        velocity_m_s: [0.0; 3],
+        fov_y: 1.0,
+        viewport_px: [1280, 720],
+        max_screen_error_px: error_px,
+    }
+}
+
+fn terrains() -> Vec<(&'static str, TempDataset)> {
+    let (w, h) = SIZE;
+    vec![
+        ("hills", TempDataset::of(w, h, hills)),
+        ("holed hills", TempDataset::of(w, h, holed_hills)),
+        ("coarse hills", TempDataset::coarse(w, h, hills, 25.0)),
+        ("cliff", TempDataset::of(w, h, cliff)),
+        ("spike", TempDataset::of(w, h, spike)),
+        ("flat", TempDataset::of(w, h, |_, _| 12.0)),
+    ]
+}
+
+/// Eyes that wander and leap.
+fn flight(steps: u32) -> impl Iterator<Item = (u32, View)> {
+    let mut eye_m = [2000.0, 2500.0, 1e4];
+    (0..steps).map(move |step| {
+        let random = |n: u32, span: u32| f64::from(hash(step * 16 + n, 5) % span);
+        eye_m = match hash(step, 6) % 6 {
+            0 => [random(1, 5000), random(2, 5000), random(3, 3000)],
+            _ => [
+                eye_m[0] + random(4, 60) - 30.0,
+                eye_m[1] + random(5, 60),
+                eye_m[2],
+            ],
+        };
+        let error_px = 1.0 + (hash(step, 7) % 3) as f32;
+        (
+            step,
+            view(eye_m, [random(7, 4000), random(8, 4000), 0.0], error_px),
+        )
+    })
+}
+
+/// The flags of a tree with the same pages, updated for a view from nothing.
+fn flags_anew(
+    tree: &MeshTree,
+    data: &TempDataset,
+    view: &View,
+) -> Vec<escarp_client::mesh::VertexFlags> {
+    let georef = data.dataset.manifest().georef.clone();
+    let mut anew = MeshTree::with_options(data.dataset.grid(), georef, local());
+    let mut pages: Vec<_> = tree.pages().cloned().collect();
+    pages.sort_by_key(|page| page.id().key());
+    for page in pages {
+        anew.link(page).unwrap();
+    }
+    anew.update(view);
+    anew.flags()
+}
+
+#[test]
+fn while_pages_come_and_go_there_is_no_crack_no_history_and_the_stated_bound_holds() {
+    for (name, data) in &terrains() {
+        let cells = data.dataset.grid().cells_per_side();
+        let mut feed = Feed::with_options(&data.dataset, local());
+        for (step, view) in flight(40) {
+            let case = format!("{name}, step {step}");
+            let stats = feed.tree.update(&view);
+            check_cracks(&feed.tree, cells).unwrap_or_else(|why| panic!("{case}: {why}"));
+            assert_eq!(
+                feed.tree.flags(),
+                flags_anew(&feed.tree, data, &view),
+                "{case}"
+            );
+            if step % 5 == 0 && stats.excess.is_finite() {
+                let found = measure(&feed.tree, data, &view, true);
+                let stated = stats.excess.max(1.0) + 1e-9;
+                assert!(found.largest <= stated, "{case}: {found:?} {stats:?}");
+            }
+            let some = hash(step, 8) as usize % 40;
+            for wish in feed.tree.wishes().into_iter().take(some) {
+                feed.grant(&wish);
+            }
+            if hash(step, 9).is_multiple_of(6) {
+                feed.tree.evict(hash(step, 10) as usize % 800_000);
+            }
+        }
+    }
+}
+
+#[test]
+fn it_comes_to_rest_with_fewer_triangles_and_more_error_than_the_tolerance_and_can_be_evicted() {
+    let (w, h) = SIZE;
+    let data = TempDataset::of(w, h, hills);
+    let view = view([2150.0, 2950.0, 3000.0], [2150.0, 2951.0, 0.0], 4.0);
+    let mut feed = Feed::with_options(&data.dataset, local());
+    let stats = feed.converge(&view);
+    let mut bounded = Feed::new(&data.dataset);
+    bounded.converge(&view);
+    let [ours, theirs] = [&feed, &bounded].map(|feed| triangles(&feed.tree).len());
+    assert!(8 < ours && ours < theirs, "{ours}, by bounds {theirs}");
+    let [found, kept] = [&feed, &bounded].map(|feed| measure(&feed.tree, &data, &view, true));
+    assert!(kept.largest <= 1.0, "{kept:?}");
+    assert!(found.largest > 1.0, "{found:?}");
+    assert!(found.largest <= stats.excess, "{found:?} {stats:?}");
+    let away = self::view([2000.0, 3000.0, 5e6], [2000.0, 3001.0, 0.0], 1.0);
+    feed.tree.update(&away);
+    feed.tree.evict(0);
+    assert_eq!(feed.tree.resident(), 1);
+}
