@@ -195,6 +195,38 @@ fn with_roam_flags_and_counts_follow_from_view_and_pages_alone_after_any_flight(
     flags_and_counts_follow_from_view_and_pages(MesherKind::Roam);
 }
 
+#[test]
+fn what_cannot_be_seen_is_left_out_and_the_bound_still_holds_in_view() {
+    let culling = MeshOptions {
+        cull: true,
+        ..by(MesherKind::Quadtree)
+    };
+    for (name, data) in &terrains() {
+        let cells = data.dataset.grid().cells_per_side();
+        let mut saved = 0;
+        for view in views(1.0) {
+            let mut feed = Feed::with_options(&data.dataset, culling);
+            let stats = feed.converge(&view);
+            assert!(stats.excess <= 1.0, "{name}: {} tolerances", stats.excess);
+            let found = measure(&feed.tree, data, &view, true);
+            assert!(found.largest <= 1.0 + 1e-9, "{name} {view:?}: {found:?}");
+            assert_eq!((found.left_out, found.covered), (0, 0), "{name} {view:?}");
+            let mut whole = Feed::new(&data.dataset);
+            whole.converge(&view);
+            let [few, all] = [&mut feed, &mut whole].map(|feed| feed.tree.triangulate());
+            assert!(few <= all, "{name}: {few} of {all}");
+            saved += all - few;
+        }
+        assert!(saved > 0 || *name == "flat", "{name}");
+        for seed in 0..2 {
+            let mut feed = Feed::with_options(&data.dataset, culling);
+            let last = wander(&mut feed, name, cells, 60, seed * 100);
+            let anew = anew(&feed, data, &last);
+            assert_eq!(feed.tree.flags(), anew.flags(), "{name}, seed {seed}");
+        }
+    }
+}
+
 /// Another tree with the same pages, updated for a view from nothing.
 fn anew(feed: &Feed<'_>, data: &TempDataset, view: &View) -> MeshTree {
     let manifest = data.dataset.manifest();

@@ -16,6 +16,7 @@ const ROAM: MeshOptions = MeshOptions {
     max_changes: None,
     split_ratio: None,
     level: None,
+    cull: false,
     morph: 0.0,
 };
 

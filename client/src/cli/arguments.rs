@@ -144,6 +144,9 @@ pub(super) struct MeshArgs {
     /// Level of all blocks of levels; default: by distance
     #[arg(long, value_name = "L")]
     level: Option<u8>,
+    /// Leave triangles out of sight as they are, for the quadtree by the bounding metric
+    #[arg(long)]
+    cull: bool,
     /// Let vertices come and go gradually, over this share of the tolerance: off, on, or a share
     /// such as 0.25; for meshers that keep the tolerance. Default: on in a window, else off
     #[arg(long, value_parser = morph, value_name = "off|on|R")]
@@ -193,6 +196,7 @@ impl MeshArgs {
             max_changes: None,
             split_ratio: self.split_ratio,
             level: self.level,
+            cull: self.cull,
             morph: self.morph.unwrap_or(0.0),
         };
         options.check()?;

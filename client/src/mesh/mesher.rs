@@ -185,6 +185,9 @@ pub struct MeshOptions {
     pub split_ratio: Option<f64>,
     /// Level of all blocks of `levels`, in [`BLOCK_LEVELS`]; `None`: by distance.
     pub level: Option<u8>,
+    /// Whether `quadtree`, by the bounding metric, leaves triangles that cannot be seen as they
+    /// are: fewer triangles and pages, of which those beside the picture come when it turns there.
+    pub cull: bool,
 }
 
 /// An option that no mesher can keep to.

@@ -8,6 +8,7 @@
 //! data is due always.
 
 use super::due::{Due, Odometer, PageDue, slack};
+use super::frustum::Frustum;
 use super::mesher::{Found, MeshOptions, Mesher};
 use super::sight::{Lines, Seen, Sides, Sight};
 use super::squares::{At, FIRST_FINEST, PLACES, ROOT};
@@ -24,16 +25,23 @@ pub(super) struct Quadtree {
     pages: Vec<PageDue>,
     /// When anything of a page, or below it, is due, by page.
     all: Vec<Due>,
+    /// Whether triangles that cannot be seen stay as they are, and the pyramid of the last view.
+    culls: bool,
+    frustum: Option<Frustum>,
 }
 
 impl Mesher for Quadtree {
     fn update(&mut self, surface: &mut Surface, view: &View) -> Found {
         let sight = Sight::of(surface, view);
-        if !self.odometer.go(&sight.tests) {
+        let goes_on = self.odometer.go(&sight.tests);
+        // The odometer knows nothing of what comes into view.
+        let same_view = self.frustum.replace(sight.frustum) == Some(sight.frustum);
+        if !goes_on || self.culls && !same_view {
             self.forget();
         }
         let mut pass = Pass {
             sight,
+            culls: self.culls,
             odometer: self.odometer,
             found: Found::default(),
         };
@@ -67,8 +75,11 @@ impl Mesher for Quadtree {
 }
 
 impl Quadtree {
-    pub(super) fn new(_: &MeshOptions) -> Quadtree {
-        Quadtree::default()
+    pub(super) fn new(options: &MeshOptions) -> Quadtree {
+        Quadtree {
+            culls: options.cull,
+            ..Quadtree::default()
+        }
     }
 
     /// Visits a page whose centre is enabled, and those below it, as far as they are due.
@@ -100,6 +111,7 @@ impl Quadtree {
 /// One update's view.
 struct Pass {
     sight: Sight,
+    culls: bool,
     odometer: Odometer,
     found: Found,
 }
@@ -183,17 +195,17 @@ impl Pass {
             index, at, sides, ..
         } = *tested;
         let vertex = (index, PLACES[at].edges[edge as usize]);
-        let (fails, asker) = (sides.fails(edge as usize), Asker::from(edge));
+        let seen = |sight: &Sight, surface: &Surface| {
+            sight.edge(surface.node(index), PLACES[at].square, edge)
+        };
+        let fails = sides.fails(edge as usize) && self.counts(|sight| seen(sight, surface));
+        let asker = Asker::from(edge);
         if fails != surface.state(vertex).is_asked_by(asker) {
-            let seen = self
-                .sight
-                .edge(surface.node(index), PLACES[at].square, edge);
-            self.ask(surface, vertex, asker, &seen);
+            let seen = seen(&self.sight, surface);
+            self.ask(surface, (vertex, asker), fails, &seen);
         }
         if !surface.is_enabled(vertex) {
-            self.stands(tested, edge as usize, |sight| {
-                sight.edge(surface.node(index), PLACES[at].square, edge)
-            });
+            self.stands(tested, edge as usize, fails, |sight| seen(sight, surface));
         }
     }
 
@@ -225,11 +237,11 @@ impl Pass {
                 page.map(|page| (page, PLACES[ROOT].centre))
             }
         };
-        let fails = sides.fails(test);
+        let fails = sides.fails(test) && self.counts(|sight| seen(sight, surface));
         match centre {
             Some(centre) if fails != surface.state(centre).is_asked_by(Asker::First) => {
                 let seen = seen(&self.sight, surface);
-                self.ask(surface, centre, Asker::First, &seen);
+                self.ask(surface, (centre, Asker::First), fails, &seen);
             }
             None if fails => {
                 let seen = seen(&self.sight, surface);
@@ -239,15 +251,27 @@ impl Pass {
             _ => {}
         }
         if !centre.is_some_and(|centre| surface.is_enabled(centre)) {
-            self.stands(tested, test, |sight| seen(sight, surface));
+            self.stands(tested, test, fails, |sight| seen(sight, surface));
         }
     }
 
-    fn ask(&mut self, surface: &mut Surface, vertex: VertexRef, asker: Asker, seen: &Seen) {
-        if seen.fails() {
+    /// Whether a triangle that is beyond the tolerance is to be split: not if it cannot be seen,
+    /// where such are left out. Boxes are nested, so none below it is, either.
+    fn counts(&self, seen: impl FnOnce(&Sight) -> Seen) -> bool {
+        !self.culls || self.sight.frustum.may_see(&seen(&self.sight).region)
+    }
+
+    fn ask(
+        &mut self,
+        surface: &mut Surface,
+        (vertex, asker): (VertexRef, Asker),
+        fails: bool,
+        seen: &Seen,
+    ) {
+        if fails {
             self.face(surface, seen);
         }
-        surface.ask(vertex, asker, seen.fails(), seen.excess());
+        surface.ask(vertex, asker, fails, seen.excess());
     }
 
     /// What is wanted from here on is wanted for this triangle.
@@ -257,8 +281,14 @@ impl Pass {
     }
 
     /// A triangle stands as it is.
-    fn stands(&mut self, tested: &mut Tested<'_>, test: usize, seen: impl FnOnce(&Sight) -> Seen) {
-        tested.beyond |= tested.sides.fails(test);
+    fn stands(
+        &mut self,
+        tested: &mut Tested<'_>,
+        test: usize,
+        fails: bool,
+        seen: impl FnOnce(&Sight) -> Seen,
+    ) {
+        tested.beyond |= fails;
         // First without a division.
         if tested.sides.reach_m[test] > self.found.excess * tested.sides.distance_m[test] {
             let seen = seen(&self.sight);
