@@ -108,6 +108,19 @@ impl Driver {
         }
     }
 
+    /// Checks that the server still hosts what it did, as scenes and flights are made for it.
+    ///
+    /// # Errors
+    /// If it does not.
+    pub fn check_same(&self, manifest: &Manifest) -> Result<()> {
+        match self.client.manifest() {
+            Some(now) if *now != *manifest => {
+                bail!("the server has another dataset, or generation, at this address than before")
+            }
+            _ => Ok(()),
+        }
+    }
+
     /// Sleeps until something arrives, or this long.
     pub fn nap(&self, most: Duration) {
         let _ = self.news.recv_timeout(most);
@@ -248,12 +261,15 @@ pub struct FlyOptions {
     pub settle: bool,
     /// Draw the triangles' edges.
     pub wireframe: bool,
+    /// Longest wait at a frame.
+    pub wait: Duration,
 }
 
 /// Flies a path, and writes a line of JSON a frame.
 ///
 /// # Errors
-/// If the server refuses for good, or a picture cannot be drawn or written.
+/// If the server refuses for good, if it hosts another dataset than before, or if a picture cannot
+/// be drawn or written.
 pub fn fly(
     driver: &mut Driver,
     manifest: &Manifest,
@@ -275,7 +291,7 @@ pub fn fly(
         let time_s = flight.frame_time_s(frame);
         let view = flight.view(time_s);
         let stats = if options.settle {
-            driver.settle(&view, Duration::from_secs(60))?
+            driver.settle(&view, options.wait)?
         } else {
             wait_until(
                 driver,
@@ -283,6 +299,7 @@ pub fn fly(
             );
             driver.step(&view)
         };
+        driver.check_same(manifest)?;
         if let Some(failure) = driver.client.failure() {
             bail!(failure);
         }

@@ -34,7 +34,7 @@ pub(super) struct FlyArgs {
     /// Draw the triangles' edges
     #[arg(long)]
     wireframe: bool,
-    /// Longest wait for the server, seconds
+    /// Longest wait for the server, and with --settle at each frame, seconds
     #[arg(long, default_value_t = 30, value_name = "S", value_parser = clap::value_parser!(u64).range(..=86_400))]
     wait: u64,
 }
@@ -49,6 +49,7 @@ pub(super) fn run(args: &FlyArgs) -> Result<()> {
         every: args.every,
         settle: args.settle,
         wireframe: args.wireframe,
+        wait: Duration::from_secs(args.wait),
     };
     let mut out = BufWriter::new(std::io::stdout().lock());
     let flown = fly(&mut driver, &manifest, &flight, &options, &mut out);

@@ -49,6 +49,7 @@ pub(super) fn run(args: &SnapshotArgs) -> Result<()> {
         eprintln!("note: {note}; the nearest that is allowed is shown");
     }
     let (view, _) = view.clamped();
+    driver.check_same(&manifest)?;
     let painted = painter.paint(&driver.client, view, args.look.wireframe)?;
     save(&painted.image, &args.output)?;
     println!(

@@ -14,6 +14,7 @@ use escarp_tiles::dataset::Dataset;
 use indicatif::{ProgressBar, ProgressStyle};
 use std::cell::Cell;
 use std::collections::HashSet;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -157,16 +158,25 @@ fn run_stability(folder: &Path) -> Result<()> {
     stability::render::write(folder, &rows)
         .with_context(|| format!("cannot write to {}", folder.display()))?;
     for row in rows.iter().filter(|row| row.verdict.is_failure()) {
-        println!("{}: {}", row.case, row.verdict);
+        say(&format!("{}: {}", row.case, row.verdict));
     }
-    println!("{}", stability::render::summary(&rows));
+    say(&stability::render::summary(&rows).to_string());
     Ok(())
+}
+
+/// Prints a text. Nobody may be there to read it; the files are what counts.
+fn say(text: &str) {
+    let _ = writeln!(std::io::stdout(), "{text}");
 }
 
 /// How this program was called, its folder left out.
 fn command() -> String {
     let mut words = vec!["escarp-report".to_owned()];
-    words.extend(std::env::args().skip(1));
+    words.extend(
+        std::env::args_os()
+            .skip(1)
+            .map(|word| word.to_string_lossy().into_owned()),
+    );
     words.join(" ")
 }
 
@@ -193,14 +203,15 @@ impl Progress {
         self.bar.set_position(self.done.get());
         self.done.set(self.done.get() + 1);
         if self.bar.is_hidden() {
-            eprintln!("{text}");
+            // Nobody may be there to read it; the files are what counts.
+            let _ = writeln!(std::io::stderr(), "{text}");
         }
         self.bar.set_message(text);
         self.bar.tick();
     }
 
     fn print(&self, text: &str) {
-        self.bar.suspend(|| println!("{text}"));
+        self.bar.suspend(|| say(text));
     }
 
     fn end(&self) {

@@ -19,8 +19,17 @@ pub fn prepare(folder: &Path) -> Result<()> {
     let plots = folder.join("plots");
     std::fs::create_dir_all(&plots)
         .with_context(|| format!("cannot make the folder {}", plots.display()))?;
-    // What cannot be written is better known before than after minutes of work.
-    file(&folder.join("report.json"), b"")
+    // What cannot be written is better known before than after minutes of work; a report that is
+    // there already stays whole until then.
+    for name in ["report.json", "report.html"] {
+        let path = folder.join(name);
+        std::fs::OpenOptions::new()
+            .append(true)
+            .create(true)
+            .open(&path)
+            .with_context(|| format!("cannot write {}", path.display()))?;
+    }
+    Ok(())
 }
 
 fn file(path: &Path, bytes: &[u8]) -> Result<()> {

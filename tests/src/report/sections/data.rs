@@ -56,8 +56,9 @@ pub(super) fn cold_starts(report: &Report) -> Section {
                 has a bandwidth and a delay of one way, and two round trips pass before the first message. TCP's slow \
                 start and losses are not modelled."
             .into(),
-        correct: "Marks on or below their steps at any moment, and the tolerance after about one and a half round trips \
-                  and the time that the bytes take.",
+        correct: "Marks on or below their steps at any moment. The aim is the tolerance after one and a half round trips \
+                  and the time that the bytes take; a client that asks for pages as its mesh reaches them needs a round \
+                  trip for each level of pages, and more.",
         plots: vec![
             ("cold-error", chart(format!("{name}: error against seconds since connecting"), errors, x,
                 ("error, px", Scale::Log),
