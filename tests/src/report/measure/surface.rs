@@ -52,6 +52,14 @@ impl Samples {
                     let skipped = (row as u32 - page_row) as usize * row_bytes;
                     let samples = reader.page_row(page_row)?;
                     out.copy_from_slice(&samples[skipped..skipped + out.len()]);
+                    let first = &mut out[..width as usize];
+                    if page_row > 0 && skipped == 0 && first.contains(&None) {
+                        // Of a border between pages one may be empty, and have no record.
+                        let below = reader.page_row(page_row - 1)?;
+                        for (to, from) in first.iter_mut().zip(&below[row_bytes..]) {
+                            *to = to.or(*from);
+                        }
+                    }
                     Ok(())
                 },
             )?;

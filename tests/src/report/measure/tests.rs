@@ -59,6 +59,11 @@ fn the_fast_measure_finds_what_the_naive_one_finds() {
         TempDataset::of(230, 190, hills),
         TempDataset::of(230, 190, holed_hills),
         TempDataset::of(200, 190, cliff),
+        // Data up to a border of pages, beyond which there is no page.
+        TempDataset::of(100, 100, |column, row| match column < 90 && row < 35 {
+            true => f64::NAN,
+            false => hills(column, row),
+        }),
     ];
     let mut worst_px = 0.0f64;
     for data in &terrains {
