@@ -184,11 +184,64 @@ fn metrics() -> impl TypedValueParser<Value = Metric> {
 impl MeshArgs {
     /// The same for what is seen in motion: with a morph, unless something else is said.
     pub(super) fn in_motion(mut self) -> MeshArgs {
-        self.morph.get_or_insert(DEFAULT_MORPH);
+        let by_bound = self.mesher.keeps_tolerance() && self.metric == Metric::Bounding;
+        if by_bound {
+            self.morph.get_or_insert(DEFAULT_MORPH);
+        }
         self
     }
 
+    /// What was asked for and has no effect on the mesher.
+    fn idle_options(&self) -> Vec<&'static str> {
+        let by_bound = self.mesher.keeps_tolerance() && self.metric == Metric::Bounding;
+        let by_size = !self.mesher.keeps_tolerance();
+        let levels = self.mesher == MesherKind::Levels;
+        [
+            (self.metric == Metric::Local && by_size, "--metric"),
+            (
+                self.split_ratio.is_some() && (!by_size || levels && self.level.is_some()),
+                "--split-ratio",
+            ),
+            (self.level.is_some() && !levels, "--level"),
+            (
+                self.morph.is_some_and(|share| share > 0.0) && !by_bound,
+                "--morph",
+            ),
+            (
+                self.cull && !(by_bound && self.mesher == MesherKind::Quadtree),
+                "--cull",
+            ),
+        ]
+        .into_iter()
+        .filter_map(|(idle, option)| idle.then_some(option))
+        .collect()
+    }
+
+    /// Says if a mesh had more triangles than were allowed in some frames.
+    pub(super) fn report_budget(&self, triangles: impl Iterator<Item = u64>) {
+        let Some(most) = self.max_triangles.map(u64::from) else {
+            return;
+        };
+        let (mut frames, mut over, mut largest) = (0, 0, 0);
+        for triangles in triangles {
+            frames += 1;
+            over += usize::from(triangles > most);
+            largest = largest.max(triangles);
+        }
+        if over > 0 {
+            eprintln!(
+                "warning: more than {most} triangles in {over} of {frames} frames, {largest} at most"
+            );
+        }
+    }
+
     fn options(&self) -> Result<MeshOptions> {
+        for option in self.idle_options() {
+            eprintln!(
+                "note: {option} has no effect on --mesher {} --metric {}",
+                self.mesher, self.metric
+            );
+        }
         let options = MeshOptions {
             mesher: self.mesher,
             metric: self.metric,
@@ -252,6 +305,35 @@ impl LookArgs {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use clap::Parser;
+
+    #[derive(Parser)]
+    struct Mesh {
+        #[command(flatten)]
+        mesh: MeshArgs,
+    }
+
+    #[test]
+    fn options_without_effect_are_named_and_others_are_not() {
+        let idle = |words: &str| {
+            let words = std::iter::once("mesh").chain(words.split_whitespace());
+            Mesh::try_parse_from(words).unwrap().mesh.idle_options()
+        };
+        assert_eq!(idle("--mesher quadtree --morph on --cull"), [""; 0]);
+        assert_eq!(idle("--mesher levels --level 2"), [""; 0]);
+        assert_eq!(idle("--mesher distance --split-ratio 3"), [""; 0]);
+        assert_eq!(
+            idle("--level 2 --split-ratio 3"),
+            ["--split-ratio", "--level"]
+        );
+        assert_eq!(
+            idle("--mesher levels --level 2 --split-ratio 3"),
+            ["--split-ratio"]
+        );
+        let all = "--mesher distance --metric local --morph on --cull";
+        assert_eq!(idle(all), ["--metric", "--morph", "--cull"]);
+        assert_eq!(idle("--mesher roam --cull"), ["--cull"]);
+    }
 
     #[test]
     fn positions_and_sizes_are_read_or_refused_with_the_right_form() {

@@ -59,6 +59,8 @@ pub(super) fn run(args: &FlyArgs) -> Result<()> {
         frames => frames?,
     };
     summarise(&frames, flight.view(0.0).max_screen_error_px);
+    args.mesh
+        .report_budget(frames.iter().map(|frame| frame.triangles));
     let away = frames.iter().filter(|frame| !frame.connected).count();
     if away > 0 {
         eprintln!(

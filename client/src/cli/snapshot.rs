@@ -63,6 +63,7 @@ pub(super) fn run(args: &SnapshotArgs) -> Result<()> {
         stats.bound_px,
         tolerance(stats.tolerance_px, args.look.error_px),
     );
+    args.mesh.report_budget(std::iter::once(stats.triangles));
     if !stats.converged {
         let (lost, reasons) = driver.client.lost_pages();
         let why = match lost {
