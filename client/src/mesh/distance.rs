@@ -13,6 +13,7 @@ use super::size::{Near, Sizes, split_ratio};
 use super::standing::largest_excess;
 use super::surface::{Index, Surface};
 use super::vertices::Asker;
+use super::way::Way;
 use escarp_proto::geometry::{Edge, PAGE_LEVELS, PageId, Quadrant, Slot};
 use escarp_proto::view::View;
 
@@ -46,14 +47,12 @@ pub(super) struct Distance {
     options: MeshOptions,
     /// By page.
     findings: Vec<Findings>,
-    /// Eye of the last update, and the length of its way so far, metres.
-    eye_m: Option<[f64; 3]>,
-    travel_m: f64,
+    way: Way,
 }
 
 impl Mesher for Distance {
     fn update(&mut self, surface: &mut Surface, view: &View) -> Found {
-        self.travel(view.eye_m);
+        self.way.go(view.eye_m);
         let ratio = split_ratio(&self.options, view);
         let mut sizes = Sizes::of(surface, view, ratio);
         let mut pages = Vec::new();
@@ -95,28 +94,15 @@ impl Distance {
         Distance {
             options: *options,
             findings: Vec::new(),
-            eye_m: None,
-            travel_m: 0.0,
+            way: Way::default(),
         }
-    }
-
-    /// Adds to the eye's way, in the measure of
-    /// [`WorldBox::distance_m`](escarp_proto::georef::WorldBox::distance_m).
-    fn travel(&mut self, eye_m: [f64; 3]) {
-        if let Some(last) = self.eye_m {
-            let step = (0..3).map(|axis| (eye_m[axis] - last[axis]).abs());
-            // Never less than it is: steps too small for the sum count as its last digit.
-            self.travel_m = (self.travel_m + step.fold(0.0, f64::max)).next_up();
-        }
-        self.eye_m = Some(eye_m);
     }
 
     /// Visits the squares of a page, or passes it over.
     fn visit_page(&mut self, surface: &mut Surface, sizes: &mut Sizes, page: Index, near: Near) {
         surface.node_mut(page).last_use = surface.updates;
         let findings = &mut self.findings[page as usize];
-        // The way is a sum of rounded steps: hold back more than their rounding.
-        let moved_m = (self.travel_m - findings.travel_m) * (1.0 + 1e-9);
+        let moved_m = self.way.since_m(findings.travel_m);
         let all_in_view = sizes
             .sight
             .frustum
@@ -133,7 +119,7 @@ impl Distance {
         pass.visit(surface, PageSquare::ROOT, near);
         *findings = Findings {
             slack_m: if pass.is_done { pass.slack_m } else { -1.0 },
-            travel_m: self.travel_m,
+            travel_m: self.way.length_m(),
             ratio: sizes.ratio,
         };
     }

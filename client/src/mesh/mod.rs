@@ -36,6 +36,7 @@ mod tree;
 mod triangulate;
 mod vertices;
 mod wants;
+mod way;
 
 pub use audit::{SurfaceTriangle, VertexFlags};
 pub use contradiction::Contradiction;

@@ -40,6 +40,7 @@ use super::page_mesh::Offset;
 use super::place::PageSquare;
 use super::sight::Sight;
 use super::surface::{Index, Surface};
+use super::way::Way;
 use escarp_proto::geometry::PAGE_LEVELS;
 use escarp_proto::page::PAGE_AREA;
 use escarp_proto::view::View;
@@ -100,8 +101,7 @@ pub(super) struct Morph {
     places: Vec<Place>,
     /// Pages whose weights or offsets are to be done, by level of pages.
     lists: Vec<Vec<Index>>,
-    eye_m: Option<[f64; 3]>,
-    travel_m: f64,
+    way: Way,
     threshold: f64,
     /// Pages whose vertices are displayed beside their heights may be in view.
     seen: bool,
@@ -115,8 +115,7 @@ impl Morph {
             share: share.min(most),
             places: Vec::new(),
             lists: Vec::new(),
-            eye_m: None,
-            travel_m: 0.0,
+            way: Way::default(),
             threshold: 0.0,
             seen: false,
         })
@@ -174,7 +173,7 @@ impl Morph {
         let sight = Sight::of(surface, &self.tested(view));
         let narrower = sight.tests.threshold / view.threshold();
         let ramp = Ramp::new(narrower, self.share);
-        self.travel(view.eye_m);
+        self.way.go(view.eye_m);
         self.threshold = sight.tests.threshold;
         let finest = surface.grid.finest_page_level() / PAGE_LEVELS;
         self.lists.resize_with(usize::from(finest) + 1, Vec::new);
@@ -185,17 +184,6 @@ impl Morph {
             surface.nodes.iter().flatten().any(|node| {
                 node.mesh.offsets.is_some() && sight.frustum.may_see(&node.mesh.bounds)
             });
-    }
-
-    /// Adds to the eye's way, in the measure of
-    /// [`WorldBox::distance_m`](escarp_proto::georef::WorldBox::distance_m).
-    fn travel(&mut self, eye_m: [f64; 3]) {
-        if let Some(last) = self.eye_m {
-            let step = (0..3).map(|axis| (eye_m[axis] - last[axis]).abs());
-            // Never less than it is: steps too small for the sum count as its last digit.
-            self.travel_m = (self.travel_m + step.fold(0.0, f64::max)).next_up();
-        }
-        self.eye_m = Some(eye_m);
     }
 
     /// Measures the pages whose vertices have changed, or of which the eye may have moved a weight.
@@ -219,15 +207,14 @@ impl Morph {
     }
 
     fn still_holds(&self, place: &Place) -> bool {
-        // The way is a sum of rounded steps: hold back more than their rounding.
-        let moved_m = (self.travel_m - place.travel_m) * (1.0 + 1e-9);
+        let moved_m = self.way.since_m(place.travel_m);
         place.threshold == self.threshold && moved_m < place.slack_m
     }
 
     /// Takes what was measured, and lists the page if that differs from before.
     fn take(&mut self, surface: &Surface, index: Index, own: Weights, slack_m: f64) {
         let place = &mut self.places[index as usize];
-        (place.slack_m, place.travel_m) = (slack_m, self.travel_m);
+        (place.slack_m, place.travel_m) = (slack_m, self.way.length_m());
         place.threshold = self.threshold;
         match &mut place.known {
             Some(known) if known.own == own => return,

@@ -35,6 +35,7 @@ use super::mesher::{Found, MeshOptions, Mesher, Metric};
 use super::sight::Sight;
 use super::standing::largest_excess;
 use super::surface::{Index, Surface};
+use super::way::Way;
 use band::Band;
 use calendar::Calendar;
 use candidate::Candidate;
@@ -69,9 +70,7 @@ pub(super) struct Roam {
     /// The last update, and how many vertices it might still have changed.
     update: u64,
     left: u64,
-    /// Eye of the last update, and the length of its way so far, metres.
-    eye_m: Option<[f64; 3]>,
-    way_m: f64,
+    way: Way,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -174,8 +173,7 @@ impl Roam {
             scale: Scale::NONE,
             update: 0,
             left: 0,
-            eye_m: None,
-            way_m: 0.0,
+            way: Way::default(),
         }
     }
 

@@ -84,7 +84,7 @@ impl Roam {
         if settled {
             notes.set_blocked(item, false);
             if seen.reach_m > 0.0 {
-                let way_m = self.way_m + slack_m(&seen, edge / scale.least);
+                let way_m = self.way.length_m() + slack_m(&seen, edge / scale.least);
                 self.calendar.push(Entry::new(way_m, page, item, stamp));
             }
             return;
@@ -106,7 +106,7 @@ impl Roam {
 
     /// Tests what may have changed since the last update.
     pub(super) fn look_again(&mut self, pass: &mut Pass<'_>) {
-        self.go_to(pass.sight.tests.eye_m);
+        self.way.go(pass.sight.tests.eye_m);
         self.unblock();
         if !self.rescale(pass.sight.tests.threshold) {
             self.changed.clear();
@@ -117,7 +117,7 @@ impl Roam {
             self.test_page(pass, page);
         }
         let mut due = Vec::new();
-        self.calendar.advance(self.way_m, &mut due);
+        self.calendar.advance(self.way.length_m(), &mut due);
         for Entry {
             page, item, stamp, ..
         } in due
@@ -157,18 +157,6 @@ impl Roam {
         }
     }
 
-    /// Adds to the eye's way, in the measure of
-    /// [`WorldBox::distance_m`](escarp_proto::georef::WorldBox::distance_m). Never too little.
-    pub(super) fn go_to(&mut self, eye_m: [f64; 3]) {
-        if let Some(last) = self.eye_m.replace(eye_m) {
-            let step = (0..3).map(|axis| (eye_m[axis] - last[axis]).abs());
-            let step_m = step.fold(0.0, f64::max);
-            if step_m > 0.0 {
-                self.way_m = (self.way_m + step_m.next_up()).next_up();
-            }
-        }
-    }
-
     /// What was blocked in the last update may be possible in this one.
     pub(super) fn unblock(&mut self) {
         let blocked = std::mem::take(&mut self.blocked);
@@ -204,7 +192,7 @@ impl Roam {
 
     pub(super) fn test_all(&mut self, pass: &mut Pass<'_>) {
         self.calendar.clear();
-        self.way_m = 0.0;
+        self.way.restart();
         self.splits.clear();
         self.merges.clear();
         self.blocked.clear();
