@@ -12,6 +12,18 @@ use std::time::Duration;
 /// How long a step waits for news at most.
 const NAP: Duration = Duration::from_millis(5);
 
+/// A view from one place to another, 1280 x 720, a radian high.
+pub fn view_to(eye_m: [f64; 3], look_m: [f64; 3], error_px: f32) -> View {
+    View {
+        eye_m,
+        direction: std::array::from_fn(|i| (look_m[i] - eye_m[i]) as f32),
+        velocity_m_s: [0.0; 3],
+        fov_y: 1.0,
+        viewport_px: [1280, 720],
+        max_screen_error_px: error_px,
+    }
+}
+
 /// A view from the southern edge of a terrain down over all of it.
 pub fn view_over(data: &TempDataset, error_px: f32) -> View {
     let extent = data.dataset.manifest().extent_m();

@@ -4,23 +4,13 @@ use escarp_client::mesh::{
     BLOCK_LEVELS, MeshOptions, MeshTree, MesherKind, SPLIT_RATIOS, UpdateStats,
 };
 use escarp_proto::view::View;
+use escarp_tests::drive::view_to as view;
 use escarp_tests::feed::Feed;
 use escarp_tests::measure::{check_cracks, measure, triangles};
 use escarp_tests::terrain::{TempDataset, cliff, hash, hills, holed_hills, spike};
 use std::collections::{BTreeSet, HashMap};
 
 const SIZE: (u32, u32) = (230, 190);
-
-fn view(eye_m: [f64; 3], look_m: [f64; 3], error_px: f32) -> View {
-    View {
-        eye_m,
-        direction: std::array::from_fn(|i| (look_m[i] - eye_m[i]) as f32),
-        velocity_m_s: [0.0; 3],
-        fov_y: 1.0,
-        viewport_px: [1280, 720],
-        max_screen_error_px: error_px,
-    }
-}
 
 /// Straight down, so high that all is in view.
 fn from_above(height_m: f64) -> View {

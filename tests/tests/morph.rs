@@ -7,6 +7,7 @@ use escarp_proto::view::View;
 use escarp_tests::displayed::{
     Average, check_displayed, displayed_deviation, displayed_heights, weighted,
 };
+use escarp_tests::drive::view_to as view;
 use escarp_tests::feed::Feed;
 use escarp_tests::measure::check_cover;
 use escarp_tests::terrain::{TempDataset, cliff, hash, hills, holed_hills, spike};
@@ -17,17 +18,6 @@ fn options(morph: f64) -> MeshOptions {
     MeshOptions {
         morph,
         ..MeshOptions::default()
-    }
-}
-
-fn view(eye_m: [f64; 3], look_m: [f64; 3], error_px: f32) -> View {
-    View {
-        eye_m,
-        direction: std::array::from_fn(|i| (look_m[i] - eye_m[i]) as f32),
-        velocity_m_s: [0.0; 3],
-        fov_y: 1.0,
-        viewport_px: [1280, 720],
-        max_screen_error_px: error_px,
     }
 }
 
