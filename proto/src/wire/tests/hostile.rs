@@ -116,10 +116,12 @@ fn the_longest_manifest_text_and_record_pass_and_one_byte_more_does_not() {
         let limits = SessionLimits {
             wanted_pages: u32::MAX,
             views_per_second: u32::MAX,
+            held_pages: u32::MAX,
         };
         [
             ServerMessage::Welcome(Welcome {
                 version: 1,
+                capabilities: 0,
                 manifest: vec![b' '; MAX_MANIFEST_BYTES + more],
                 limits,
             }),
