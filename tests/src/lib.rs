@@ -23,6 +23,9 @@ pub mod liar;
 pub mod programs;
 
 pub mod peers;
+
+pub mod nets;
+
 pub mod report;
 
 pub mod stability;
