@@ -16,6 +16,8 @@ pub mod native;
 
 pub mod dataset;
 
+pub mod watch;
+
 mod http;
 
 mod socket;
@@ -29,7 +31,7 @@ pub mod cli;
 #[cfg(test)]
 mod tests;
 
-pub use catalog::{Catalog, CatalogError};
+pub use catalog::{Catalog, CatalogError, Hosted};
 pub use limits::Limits;
 pub use serve::serve;
 pub use session::Session;
