@@ -73,7 +73,7 @@ pub fn measure(surface: &FullSurface<'_>, variant: Variant, view: &View) -> Resu
         error_px: view.max_screen_error_px,
         dataset_bytes: dataset.total_bytes(),
         received_bytes: supply.bytes,
-        used_bytes: parts_of(tree).used_bytes(dataset, &UsedParts::default())?,
+        used_bytes: used_bytes(dataset, tree)?,
         received_over_used: 0.0,
         dataset_pages: dataset.manifest().pages,
         received_pages: 0,
@@ -115,6 +115,14 @@ fn full_triangles(dataset: &Dataset) -> u64 {
     let cells = (width.saturating_sub(1) * height.saturating_sub(1)) as f64;
     let valid = manifest.valid_samples as f64 / (width * height).max(1) as f64;
     (2.0 * cells * valid).round() as u64
+}
+
+/// Bytes of the parts without which the mesh could not be what it is.
+///
+/// # Errors
+/// If the dataset is damaged.
+pub fn used_bytes(dataset: &Dataset, tree: &MeshTree) -> Result<u64> {
+    parts_of(tree).used_bytes(dataset, &UsedParts::default())
 }
 
 /// The last part of each page that is here, and of each that the mesh could not do without.
