@@ -6,6 +6,8 @@
 
 pub mod limits;
 
+pub mod metrics;
+
 pub mod source;
 
 pub mod catalog;

@@ -76,8 +76,8 @@ impl Server {
 
 fn hello(credit_bytes: u64) -> Hello {
     Hello {
-        oldest: 1,
-        newest: 1,
+        oldest: escarp_proto::wire::PROTOCOL,
+        newest: escarp_proto::wire::PROTOCOL,
         capabilities: 0,
         codecs: 1,
         dataset: String::new(),
