@@ -5,6 +5,7 @@ use crate::published::Published;
 use crate::source::{AtOnce, GenerationId, Pack, PageSource, Revised, SourceError};
 use escarp_proto::geometry::PageId;
 use escarp_proto::manifest::Manifest;
+use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
@@ -254,6 +255,24 @@ pub fn percent_encoded(name: &str) -> String {
         .collect()
 }
 
+/// A part of an address as a name; `None` if it is not UTF-8.
+pub fn percent_decoded(text: &str) -> Option<Cow<'_, str>> {
+    if !text.contains('%') {
+        return Some(text.into());
+    }
+    let digit = |byte: Option<&u8>| char::from(*byte?).to_digit(16);
+    let bytes = text.as_bytes();
+    let mut decoded = Vec::with_capacity(bytes.len());
+    let mut at = 0;
+    while let Some(&byte) = bytes.get(at) {
+        let pair = digit(bytes.get(at + 1)).zip(digit(bytes.get(at + 2)));
+        let coded = pair.filter(|_| byte == b'%');
+        decoded.push(coded.map_or(byte, |(high, low)| (high * 16 + low) as u8));
+        at += if coded.is_some() { 3 } else { 1 };
+    }
+    String::from_utf8(decoded).ok().map(Cow::Owned)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -348,5 +367,11 @@ mod tests {
     #[test]
     fn odd_names_are_percent_encoded() {
         assert_eq!(percent_encoded("Grüße 1"), "Gr%C3%BC%C3%9Fe%201");
+        for name in ["Grüße 1", "moon", "50%", "%41", "%"] {
+            let there = percent_encoded(name);
+            assert_eq!(percent_decoded(&there).as_deref(), Some(name));
+        }
+        assert_eq!(percent_decoded("a%4x%").as_deref(), Some("a%4x%"));
+        assert_eq!(percent_decoded("%ff"), None);
     }
 }
