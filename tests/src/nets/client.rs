@@ -43,6 +43,11 @@ impl Kind {
         }
     }
 
+    /// Whether the server uses its velocity.
+    pub const fn predicts(self) -> bool {
+        false
+    }
+
     /// Number of its colour.
     pub const fn number(self) -> usize {
         match self {
@@ -157,32 +162,36 @@ impl Looking for Streaming {
 }
 
 /// Either of them.
-enum Client {
+pub struct Client(Either);
+
+enum Either {
     Streaming(Box<Streaming>),
     Tiles(Box<TileClient>),
 }
 
 impl Client {
     /// Connects, until it is known what the dataset is.
-    fn open(job: &Job) -> Result<Client> {
-        let url: Url = job.url.parse().context("the address")?;
-        let limit = Duration::from_secs_f64(job.limit_s);
-        match job.kind {
-            Kind::Tiles => Ok(Client::Tiles(Box::new(TileClient::open(&url)?))),
+    ///
+    /// # Errors
+    /// What the server, or the system, said instead.
+    pub fn open(kind: Kind, url: &str, limit: Duration) -> Result<Client> {
+        let url: Url = url.parse().context("the address")?;
+        Ok(Client(match kind {
+            Kind::Tiles => Either::Tiles(Box::new(TileClient::open(&url)?)),
             Kind::Pull => {
                 let client = RemoteTerrain::with_options(url, ClientOptions::default());
                 let mut driver = Driver::new(client);
                 driver.connect(limit)?;
                 let stepped = Instant::now();
-                Ok(Client::Streaming(Box::new(Streaming { driver, stepped })))
+                Either::Streaming(Box::new(Streaming { driver, stepped }))
             }
-        }
+        }))
     }
 
     fn parts(&self) -> UsedParts {
-        let terrain = match self {
-            Client::Streaming(streaming) => streaming.driver.client.terrain(),
-            Client::Tiles(tiles) => Some(tiles.terrain()),
+        let terrain = match &self.0 {
+            Either::Streaming(streaming) => streaming.driver.client.terrain(),
+            Either::Tiles(tiles) => Some(tiles.terrain()),
         };
         terrain
             .map(|terrain| parts_of(terrain.tree()))
@@ -192,16 +201,16 @@ impl Client {
 
 impl Looking for Client {
     fn frame(&mut self, view: &View) -> Result<Stand> {
-        match self {
-            Client::Streaming(client) => client.frame(view),
-            Client::Tiles(client) => client.frame(view),
+        match &mut self.0 {
+            Either::Streaming(client) => client.frame(view),
+            Either::Tiles(client) => client.frame(view),
         }
     }
 
     fn rest(&mut self) -> Result<()> {
-        match self {
-            Client::Streaming(client) => client.rest(),
-            Client::Tiles(client) => client.rest(),
+        match &mut self.0 {
+            Either::Streaming(client) => client.rest(),
+            Either::Tiles(client) => client.rest(),
         }
     }
 }
@@ -214,7 +223,7 @@ pub fn work(job: &Job) -> Result<Vec<Leg>> {
     let dataset = job.dataset.as_deref().map(Dataset::open).transpose()?;
     let limit = Duration::from_secs_f64(job.limit_s);
     let mut began = Instant::now();
-    let mut client = Client::open(job)?;
+    let mut client = Client::open(job.kind, &job.url, limit)?;
     let mut opened_s = Some(began.elapsed().as_secs_f64());
     let (mut legs, mut bytes, mut had) = (Vec::new(), 0, UsedParts::default());
     for &sight in &job.views {

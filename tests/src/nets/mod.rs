@@ -26,3 +26,21 @@ pub mod convergence;
 pub mod show;
 
 pub mod cli;
+
+pub mod process;
+
+pub mod script;
+
+pub mod talk;
+
+pub mod crowd;
+
+pub mod load;
+
+pub mod soak;
+
+pub mod fly;
+
+pub mod cancel;
+
+pub mod renew;

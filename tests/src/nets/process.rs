@@ -42,7 +42,9 @@ impl Usage {
 }
 
 fn field(status: &str, name: &str) -> Option<u64> {
-    let line = status.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(':'))?;
+    let line = status
+        .lines()
+        .find_map(|line| line.strip_prefix(name)?.strip_prefix(':'))?;
     line.split_whitespace().next()?.parse().ok()
 }
 
@@ -108,7 +110,10 @@ mod tests {
     #[test]
     fn this_process_has_memory_files_threads_and_takes_time() {
         let usage = Usage::of(std::process::id()).expect("it is there");
-        assert!(usage.memory_bytes > 0 && usage.files >= 3 && usage.threads >= 1, "{usage:?}");
+        assert!(
+            usage.memory_bytes > 0 && usage.files >= 3 && usage.threads >= 1,
+            "{usage:?}"
+        );
         assert!(Usage::of(u32::MAX).is_err());
     }
 

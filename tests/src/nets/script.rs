@@ -3,6 +3,7 @@
 
 use super::places::{Ground, Way};
 use crate::report::supply::Supply;
+use crate::report::variant::Variant;
 use anyhow::Result;
 use escarp_client::mesh::Wish;
 use escarp_proto::view::View;
@@ -30,9 +31,14 @@ impl Script {
     ///
     /// # Errors
     /// If the dataset is damaged, or has no ground there.
-    pub fn write(dataset: &Dataset, way: Way, lines_a_second: f64, size: [u32; 2]) -> Result<Script> {
+    pub fn write(
+        dataset: &Dataset,
+        way: Way,
+        lines_a_second: f64,
+        size: [u32; 2],
+    ) -> Result<Script> {
         let flight = Ground::new(dataset).flight(way, lines_a_second)?;
-        let mut supply = Supply::new(dataset, Default::default());
+        let mut supply = Supply::new(dataset, Variant::usual());
         let mut lines = Vec::new();
         for frame in 0..flight.frames() {
             let mut view = flight.view(flight.frame_time_s(frame));

@@ -83,7 +83,11 @@ impl Talk {
     /// If the connection is lost, or the server ends the session.
     pub async fn hear(&mut self) -> Result<ServerMessage> {
         loop {
-            let message = self.socket.next().await.context("the connection is closed")??;
+            let message = self
+                .socket
+                .next()
+                .await
+                .context("the connection is closed")??;
             match message {
                 Message::Binary(bytes) => match ServerMessage::decode(&bytes)? {
                     ServerMessage::Error(error) => bail!("the server says: {}", error.text),
@@ -113,5 +117,13 @@ impl Talk {
             self.say(&ClientMessage::Credit { total_bytes }).await?;
         }
         Ok(())
+    }
+
+    /// Says good-bye.
+    ///
+    /// # Errors
+    /// If the connection is lost.
+    pub async fn close(&mut self) -> Result<()> {
+        Ok(self.socket.close(None).await?)
     }
 }
