@@ -8,7 +8,7 @@ use crate::app::{StepStats, TerrainClient, Waker};
 use crate::governor::{Governor, Load};
 use crate::link::{Event, Link, LinkConfig, LinkState};
 use crate::mesh::{MeshOptions, PageMesh};
-use crate::net::{Connection, Url};
+use crate::net::{Carrier, Connection, Url};
 use crate::stages::Stages;
 use crate::terrain::{Terrain, TerrainStep};
 use escarp_proto::geometry::PageId;
@@ -33,19 +33,10 @@ fn in_words(reason: MissReason) -> &'static str {
     }
 }
 
-fn link_for(url: &Url, options: &ClientOptions) -> Link {
-    let mut link = Link::new(LinkConfig {
-        push: options.push,
-        ..LinkConfig::new(url.dataset().unwrap_or(""))
-    });
-    link.set_push(options.mesh.scope().is_some());
-    link
-}
-
 /// A terrain on a server.
 pub struct RemoteTerrain {
     link: Link,
-    connection: Connection,
+    connection: Box<dyn Carrier>,
     terrain: Option<Terrain>,
     options: ClientOptions,
     governor: Governor,
@@ -83,13 +74,33 @@ impl RemoteTerrain {
                 waker();
             }
         };
+        let config = LinkConfig {
+            push: options.push,
+            ..LinkConfig::new(url.dataset().unwrap_or(""))
+        };
+        let connection = Connection::with_waker(url, Box::new(wake));
         RemoteTerrain {
-            link: link_for(&url, &options),
-            connection: Connection::with_waker(url, Box::new(wake)),
+            waker,
+            ..RemoteTerrain::over(Box::new(connection), config, options)
+        }
+    }
+
+    /// A terrain behind another carrier than a socket of this machine, and another link than the
+    /// usual one.
+    pub fn over(
+        connection: Box<dyn Carrier>,
+        config: LinkConfig,
+        options: ClientOptions,
+    ) -> RemoteTerrain {
+        let mut link = Link::new(config);
+        link.set_push(options.mesh.scope().is_some());
+        RemoteTerrain {
+            link,
+            connection,
             terrain: None,
             governor: options.governor(),
             options,
-            waker,
+            waker: SharedWaker::default(),
             now: Duration::ZERO,
             refused: None,
             last_step: TerrainStep::default(),
@@ -141,6 +152,11 @@ impl RemoteTerrain {
         if self.reasons.len() < MOST_REASONS {
             self.reasons.push(format!("page {page}: {why}"));
         }
+    }
+
+    /// The link to the server, for its figures.
+    pub fn link(&self) -> &Link {
+        &self.link
     }
 
     /// The terrain, once the server has told what it is.
