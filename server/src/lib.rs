@@ -8,6 +8,8 @@ pub mod limits;
 
 pub mod metrics;
 
+pub mod access;
+
 pub mod source;
 
 pub mod catalog;
@@ -24,6 +26,10 @@ mod socket;
 
 mod stall;
 
+pub mod tls;
+
+mod health;
+
 mod serve;
 
 pub mod cli;
@@ -31,8 +37,9 @@ pub mod cli;
 #[cfg(test)]
 mod tests;
 
+pub use access::Access;
 pub use catalog::{Catalog, CatalogError};
 pub use limits::Limits;
-pub use serve::serve;
+pub use serve::{Serving, serve};
 pub use session::Session;
 pub use source::{PageSource, SourceError};

@@ -15,6 +15,16 @@ pub struct Limits {
     pub connections: usize,
     /// Sessions at a time. More are refused with HTTP status 503.
     pub sessions: usize,
+    /// HTTP connections of one address at a time, counted as above; 0: any number. More are closed
+    /// at once.
+    pub connections_per_address: usize,
+    /// Sessions of one address at a time; 0: any number. More are refused with HTTP status 429.
+    pub sessions_per_address: usize,
+    /// HTTP requests a second of one address, in the long run; 0: any number. More are refused
+    /// with HTTP status 429.
+    pub requests_per_second_per_address: u32,
+    /// HTTP requests of one address in a moment, beyond those a second.
+    pub request_burst_per_address: u32,
     /// Pages that a session may want at a time. More are answered by Miss Busy.
     pub wanted_pages: usize,
     /// Views a second that a session looks at. Of more, the newest is kept until its turn.
@@ -44,6 +54,10 @@ impl Default for Limits {
         Limits {
             connections: 2048,
             sessions: 1024,
+            connections_per_address: 512,
+            sessions_per_address: 256,
+            requests_per_second_per_address: 1000,
+            request_burst_per_address: 4000,
             wanted_pages: 2048,
             views_per_second: 20,
             queued_replies: 1024,

@@ -4,13 +4,15 @@ mod describe;
 mod page;
 mod problem;
 
+use crate::access::{Caller, Gate, guard};
 use crate::catalog::Catalog;
+use crate::health::{self, Health};
 use crate::socket::{self, Sessions};
-use axum::Router;
-use axum::extract::{Path, Request, State};
+use axum::extract::{Extension, Path, Request, State};
 use axum::http::{HeaderMap, Method, StatusCode, header};
 use axum::response::{IntoResponse, Json, Response};
 use axum::routing::get;
+use axum::{Router, middleware};
 use describe::{Dataset, Datasets};
 pub(crate) use problem::Problem;
 use std::sync::Arc;
@@ -20,13 +22,18 @@ use std::sync::Arc;
 pub(crate) struct App {
     pub catalog: Arc<Catalog>,
     pub sessions: Sessions,
+    pub gate: Arc<Gate>,
+    pub health: Arc<Health>,
+    /// Whether `/metrics` is here, and not on an address of its own.
+    pub counted: bool,
 }
 
 /// All addresses.
 pub(crate) fn router(app: App) -> Router {
+    let gate = app.gate.clone();
     Router::new()
+        .merge(health::routes(app.counted))
         .route("/", get(welcome))
-        .route("/healthz", get(async || "ok\n"))
         .route("/datasets", get(datasets))
         .route("/session", get(socket::upgrade))
         .route("/{name}", get(dataset))
@@ -35,9 +42,14 @@ pub(crate) fn router(app: App) -> Router {
         .fallback(unknown)
         .method_not_allowed_fallback(wrong_method)
         .with_state(app)
+        .layer(middleware::from_fn_with_state(gate, guard))
 }
 
-async fn welcome(State(app): State<App>, headers: HeaderMap) -> String {
+async fn welcome(
+    State(app): State<App>,
+    Extension(caller): Extension<Caller>,
+    headers: HeaderMap,
+) -> String {
     let host = host(&headers);
     let mut text = format!(
         "This is an Escarp terrain server.\n\n\
@@ -46,7 +58,7 @@ async fn welcome(State(app): State<App>, headers: HeaderMap) -> String {
          Stream in a program:  ws://{host}/session (proto/PROTOCOL.md in Escarp's source)\n\n\
          Datasets:\n"
     );
-    for (name, _) in app.catalog.iter() {
+    for (name, _) in app.catalog.iter().filter(|(name, _)| caller.sees(name)) {
         text += &format!(
             "  http://{host}/{}\n",
             crate::catalog::percent_encoded(name)
@@ -55,11 +67,18 @@ async fn welcome(State(app): State<App>, headers: HeaderMap) -> String {
     text
 }
 
-async fn datasets(State(app): State<App>, headers: HeaderMap) -> Json<Datasets> {
+async fn datasets(
+    State(app): State<App>,
+    Extension(caller): Extension<Caller>,
+    headers: HeaderMap,
+) -> Json<Datasets> {
     let host = host(&headers);
     let describe = |(name, source): (&str, &Arc<_>)| Dataset::of(name, source, host);
     Json(Datasets {
-        datasets: app.catalog.iter().map(describe).collect(),
+        datasets: {
+            let seen = app.catalog.iter().filter(|(name, _)| caller.sees(name));
+            seen.map(describe).collect()
+        },
     })
 }
 

@@ -21,6 +21,7 @@ mod views;
 #[cfg(test)]
 mod tests;
 
+use crate::access::{Caller, Denied};
 use crate::catalog::Catalog;
 use crate::limits::Limits;
 use crate::source::PageSource;
@@ -40,6 +41,7 @@ use std::time::Duration;
 pub struct Session {
     catalog: Arc<Catalog>,
     limits: Limits,
+    caller: Caller,
     heard: Duration,
     state: State,
 }
@@ -69,9 +71,17 @@ impl Session {
         Session {
             catalog,
             limits,
+            caller: Caller::default(),
             heard: Duration::ZERO,
             state: State::Opening,
         }
+    }
+
+    /// The same for a caller who may not see everything. Its Hello may have another token.
+    #[must_use]
+    pub fn for_caller(mut self, caller: Caller) -> Session {
+        self.caller = caller;
+        self
     }
 
     /// Handles a binary message. After the end, does nothing.
@@ -122,7 +132,7 @@ impl Session {
     }
 
     /// The dataset that a Hello names, if both sides can talk about it.
-    fn dataset_of(&self, hello: &Hello) -> Result<Arc<dyn PageSource>, PeerError> {
+    fn dataset_of(&mut self, hello: &Hello) -> Result<Arc<dyn PageSource>, PeerError> {
         if !(hello.oldest..=hello.newest).contains(&PROTOCOL) {
             let text = format!(
                 "protocol versions {}..={}, this server speaks {PROTOCOL}",
@@ -130,9 +140,13 @@ impl Session {
             );
             return Err(PeerError::new(ErrorCode::Version, text));
         }
+        self.caller = self.caller.clone().with_token(hello.token.as_deref());
+        // What is denied must not depend on whether there is such a dataset.
+        self.caller.check(&hello.dataset).map_err(denied)?;
         let Some((name, source)) = self.catalog.meant(&hello.dataset) else {
             return Err(PeerError::new(ErrorCode::NoDataset, self.names()));
         };
+        self.caller.check(name).map_err(denied)?;
         let codec = source.manifest().codec;
         if hello.codecs.checked_shr(codec.into()).unwrap_or(0) & 1 == 0 {
             let text = format!(
@@ -147,7 +161,7 @@ impl Session {
     /// The names of the datasets, one a line, as many as fit an error's text.
     fn names(&self) -> String {
         let mut text = String::new();
-        for name in self.catalog.names() {
+        for name in self.catalog.names().filter(|name| self.caller.sees(name)) {
             let line = if text.is_empty() { "" } else { "\n" };
             if text.len() + line.len() + name.len() > MAX_TEXT {
                 break;
@@ -264,4 +278,13 @@ impl Session {
             State::Opening | State::Closed { .. } => None,
         }
     }
+}
+
+fn denied(why: Denied) -> PeerError {
+    let text = match why {
+        Denied::NoToken => "this dataset needs a token",
+        Denied::WrongToken => "the token does not open this dataset",
+        Denied::Origin => "web pages of this origin may not use this dataset",
+    };
+    PeerError::new(ErrorCode::Denied, text)
 }

@@ -20,13 +20,13 @@ use tokio::time::{Instant, sleep_until, timeout};
 /// Longest text of a close frame, bytes (RFC 6455, section 5.5, less the code).
 const CLOSE_TEXT: usize = 123;
 
-/// Serves a session to its end.
+/// Serves a session to its end; `None` if its connection was lost.
 pub(super) async fn drive(
     socket: WebSocket,
     session: Session,
     limits: &Limits,
     phase: watch::Receiver<Phase>,
-) {
+) -> Option<CloseReason> {
     tracing::debug!("opened");
     let (sink, incoming) = socket.split();
     let now = Instant::now();
@@ -43,10 +43,14 @@ pub(super) async fn drive(
     };
     match driver.run().await {
         End::Closed(reason) => {
-            tracing::info!(?reason, "closed");
+            tracing::info!(?reason, took = ?now.elapsed(), "closed");
             driver.farewell(&reason).await;
+            Some(reason)
         }
-        End::Lost(why) => tracing::info!(why, "lost"),
+        End::Lost(why) => {
+            tracing::info!(why, took = ?now.elapsed(), "lost");
+            None
+        }
     }
 }
 
