@@ -14,9 +14,9 @@ mod token;
 #[cfg(test)]
 mod tests;
 
-pub use address::{Address, Proxies};
+pub use address::{Address, Proxies, ProxyError};
 pub use caller::Caller;
-pub use origin::Origins;
+pub use origin::{OriginError, Origins};
 pub use rates::{Place, Rates};
 pub use token::{Token, TokenError};
 

@@ -32,6 +32,8 @@ mod health;
 
 mod serve;
 
+pub mod config;
+
 pub mod cli;
 
 #[cfg(test)]

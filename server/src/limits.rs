@@ -1,5 +1,9 @@
 //! Every number that a peer could make grow, in one place.
 
+mod table;
+
+pub use table::{ENTRIES, Entry};
+
 use escarp_proto::wire::{MAX_LIST, PAGES_FRAME};
 use std::time::Duration;
 

@@ -4,9 +4,10 @@
 use thiserror::Error;
 
 /// Origins of web pages.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub enum Origins {
     /// All of them.
+    #[default]
     Any,
     /// These, in lower case; also those of pages that this server itself gave.
     List(Vec<String>),
@@ -18,12 +19,6 @@ pub enum Origins {
     "the origin {0:?}; allowed are `*`, `null`, and SCHEME://HOST or SCHEME://HOST:PORT without anything after it"
 )]
 pub struct OriginError(String);
-
-impl Default for Origins {
-    fn default() -> Origins {
-        Origins::Any
-    }
-}
 
 impl Origins {
     /// Only pages of this server.
