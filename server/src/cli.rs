@@ -7,18 +7,18 @@ mod probe;
 mod reload;
 
 use crate::catalog::{Catalog, CatalogError, percent_encoded};
-use crate::config::{Config, ConfigError, Flags, Source};
+use crate::config::{Config, ConfigError, Flags, IoChoice, Source};
 use crate::serve::Serving;
 use crate::tls::{Tls, TlsError};
+use crate::watch::{WatchError, Watcher};
 use anyhow::{Context, Result, anyhow};
 use clap::error::ErrorKind;
 use clap::parser::ValueSource;
 use clap::{ArgMatches, CommandFactory, FromArgMatches, Parser, Subcommand};
-use escarp_tiles::dataset::{Dataset, DatasetError};
+use escarp_tiles::dataset::{DatasetError, Io};
 use reload::Reload;
 use std::io::Write;
 use std::net::SocketAddr;
-use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::time::Duration;
@@ -33,7 +33,8 @@ const USAGE: u8 = 2;
 /// Host terrain datasets: pages over HTTP, and views streamed over WebSocket.
 ///
 /// A dataset is a folder NAME.escarp made by escarp-tiles; it is read only. When ready, the server
-/// prints one URL a dataset to standard output, to give to escarp-client.
+/// prints one URL a dataset to standard output, to give to escarp-client. A new generation of a
+/// dataset is taken live when it is published.
 #[derive(Debug, Parser)]
 #[command(name = "escarp-server", version, after_help = EXAMPLES, args_conflicts_with_subcommands = true)]
 pub struct Cli {
@@ -65,6 +66,7 @@ const EXAMPLES: &str = "\
 Examples:
   escarp-server moon.escarp                             then: escarp-client view http://127.0.0.1:8787/moon
   escarp-server moon.escarp alps.escarp --listen 0.0.0.0:8787    for other machines too
+  escarp-server --watch /srv/terrain                    all datasets in a folder, also later ones
   escarp-server --config server.toml --check-config     settings from a file; docs/escarp-server.toml has all
   curl http://127.0.0.1:8787/datasets                   what is hosted, as JSON
 
@@ -132,9 +134,9 @@ fn configured(cli: Cli, matches: ArgMatches) -> Result<()> {
         println!("the settings are right");
         return Ok(());
     }
-    if config.datasets.value.is_empty() {
-        let what =
-            "no dataset to host: give folders NAME.escarp, or `datasets` in the file of settings";
+    if config.datasets.value.is_empty() && config.watch.value.is_empty() {
+        let what = "no dataset to host: give folders NAME.escarp, --watch DIR, or `datasets` in \
+                    the file of settings";
         Cli::command()
             .error(ErrorKind::MissingRequiredArgument, what)
             .exit();
@@ -150,8 +152,9 @@ fn tls(config: &Config) -> Result<Option<Arc<Tls>>, TlsError> {
 
 fn host(config: Config, read: reload::Read) -> Result<()> {
     let tls = tls(&config)?;
-    let catalog = Arc::new(open_all(&config.datasets.value)?);
-    descriptors::provide(&config.limits, catalog.names().count());
+    let catalog = Arc::new(Catalog::default());
+    let watcher = open_all(catalog.clone(), &config)?;
+    descriptors::provide(&config.limits, catalog.names().len());
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .enable_all()
         .max_blocking_threads(DISK_THREADS)
@@ -175,6 +178,7 @@ fn host(config: Config, read: reload::Read) -> Result<()> {
         let (rules, followed) = watch::channel(None);
         let address = listener.local_addr()?;
         announce(&catalog, address, tls.is_some())?;
+        tokio::spawn(watcher.run());
         tokio::spawn(Reload::new(config, read, tls, rules)?.run());
         tokio::spawn(notify::watchdog());
         notify::tell("READY=1");
@@ -195,21 +199,18 @@ async fn bind(address: &str, flag: &str) -> Result<TcpListener> {
 }
 
 /// Opens all datasets under their names.
-fn open_all(folders: &[PathBuf]) -> Result<Catalog> {
-    let mut catalog = Catalog::default();
-    for folder in folders {
-        let dataset = open(folder)?;
-        let name = dataset.name().to_owned();
-        catalog.add(&name, Arc::new(dataset))?;
-    }
-    Ok(catalog)
-}
-
-fn open(folder: &Path) -> Result<Dataset> {
-    Dataset::open(folder).map_err(|error| match error {
-        DatasetError::Damaged { .. } => {
+fn open_all(catalog: Arc<Catalog>, config: &Config) -> Result<Watcher> {
+    let io = match config.io.value {
+        IoChoice::Pread => Io::Pread,
+        IoChoice::Mmap => Io::Mmap,
+    };
+    let (datasets, watch) = (&config.datasets.value, &config.watch.value);
+    let started = Watcher::start(catalog, datasets, watch, io);
+    started.map_err(|error| match error {
+        WatchError::Dataset(error @ DatasetError::Damaged { .. }) => {
             anyhow!("{error}; restore the file, or build the dataset again")
         }
+        WatchError::Catalog(error) => error.into(),
         // The other kinds say themselves what to do.
         _ => error.into(),
     })
@@ -225,7 +226,7 @@ fn announce(catalog: &Catalog, address: SocketAddr, secure: bool) -> Result<()> 
         _ => address.to_string(),
     };
     for name in catalog.names() {
-        writeln!(out, "{scheme}://{host}/{}", percent_encoded(name)).context("standard output")?;
+        writeln!(out, "{scheme}://{host}/{}", percent_encoded(&name)).context("standard output")?;
     }
     out.flush().context("standard output")
 }

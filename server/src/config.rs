@@ -30,6 +30,15 @@ pub struct Flags {
         value_delimiter = ':'
     )]
     pub datasets: Vec<PathBuf>,
+    /// Host all datasets NAME.escarp in this folder, those to come as well; may be given again
+    /// [env: ESCARP_WATCH, separated by colons]
+    #[arg(long, value_name = "DIR")]
+    pub watch: Vec<PathBuf>,
+    /// How datasets are read: pread is safe from files that are cut short or written over while
+    /// the server runs; mmap shares the system's memory, and dies with such a file
+    /// [default: pread]
+    #[arg(long, value_name = "HOW", env = "ESCARP_IO")]
+    pub io: Option<IoChoice>,
     /// File with settings (TOML), for what neither flags nor environment say
     #[arg(long, value_name = "FILE", env = "ESCARP_CONFIG")]
     pub config: Option<PathBuf>,
@@ -81,6 +90,17 @@ pub struct Flags {
     pub max_sessions: Option<usize>,
 }
 
+/// How datasets are read.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, ValueEnum, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum IoChoice {
+    /// By reading.
+    #[default]
+    Pread,
+    /// By mapping.
+    Mmap,
+}
+
 /// How the log is written.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, ValueEnum, serde::Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -119,6 +139,10 @@ pub struct Set<T> {
 pub struct Config {
     /// Folders of datasets.
     pub datasets: Set<Vec<PathBuf>>,
+    /// Folders whose datasets come and go.
+    pub watch: Set<Vec<PathBuf>>,
+    /// How datasets are read.
+    pub io: Set<IoChoice>,
     /// Address to listen on.
     pub listen: Set<String>,
     /// Address for those who watch.
@@ -184,23 +208,26 @@ impl Config {
             file.or(flag, given(id), in_file, default)
         };
         // Not by the parser: it would take folders with a colon apart on the command line, too.
-        let named = environment
-            .get("ESCARP_DATASETS")
-            .filter(|folders| !folders.is_empty());
-        let (folders, folders_by) = match named {
-            _ if !flags.datasets.is_empty() => (Some(flags.datasets.clone()), Source::Flag),
-            Some(folders) => (
-                Some(std::env::split_paths(folders).collect()),
-                Source::Environment,
-            ),
-            None => (None, Source::Default),
+        let folders = |variable: &str, flag: &[PathBuf], in_file| {
+            let named = environment.get(variable).filter(|all| !all.is_empty());
+            let (given, by) = match named {
+                _ if !flag.is_empty() => (Some(flag.to_vec()), Source::Flag),
+                Some(all) => (
+                    Some(std::env::split_paths(all).collect()),
+                    Source::Environment,
+                ),
+                None => (None, Source::Default),
+            };
+            file.or(given, by, in_file, Vec::new())
         };
         let path = |id, flag: &Option<PathBuf>, in_file| {
             file.or(flag.clone().map(Some), given(id), in_file, None)
         };
         let metrics_listen = flags.metrics_listen.clone().map(Some);
         let mut config = Config {
-            datasets: file.or(folders, folders_by, file.datasets(), Vec::new()),
+            datasets: folders("ESCARP_DATASETS", &flags.datasets, file.datasets()),
+            watch: folders("ESCARP_WATCH", &flags.watch, file.watch()),
+            io: file.or(flags.io, given("io"), file.io(), IoChoice::Pread),
             listen: file.or(
                 flags.listen.clone(),
                 given("listen"),

@@ -52,7 +52,7 @@ pub(crate) fn router(app: App) -> Router {
 }
 
 async fn readyz(State(app): State<App>) -> Response {
-    let datasets = app.catalog.names().count();
+    let datasets = app.catalog.names().len();
     let found = [
         (
             app.health.draining.load(Ordering::Relaxed),
@@ -88,13 +88,17 @@ async fn all_metrics(State(app): State<App>) -> Response {
 }
 
 fn rendered(app: &App, shown: impl Fn(&str) -> bool) -> Response {
-    let stand = |(name, source): (&str, &std::sync::Arc<dyn crate::PageSource>)| Stand {
-        dataset: name.to_owned(),
-        generation: source.manifest().generation,
-        pages: source.manifest().pages,
+    let hosted = app.catalog.all();
+    let shown = hosted.iter().filter(|hosted| shown(hosted.name()));
+    let stand = |hosted: &std::sync::Arc<crate::Hosted>| {
+        let source = hosted.source();
+        Stand {
+            dataset: hosted.name().to_owned(),
+            generation: source.manifest().generation,
+            pages: source.manifest().pages,
+        }
     };
-    let hosted = app.catalog.iter().filter(|(name, _)| shown(name));
-    let stands: Vec<_> = hosted.map(stand).collect();
+    let stands: Vec<_> = shown.map(stand).collect();
     match app.gate.metrics.render(&stands) {
         Ok(text) => ([(header::CONTENT_TYPE, CONTENT_TYPE)], text).into_response(),
         Err(_) => StatusCode::INTERNAL_SERVER_ERROR.into_response(),

@@ -20,6 +20,8 @@ pub mod native;
 
 pub mod dataset;
 
+pub mod watch;
+
 mod http;
 
 mod socket;
@@ -40,7 +42,7 @@ pub mod cli;
 mod tests;
 
 pub use access::Access;
-pub use catalog::{Catalog, CatalogError};
+pub use catalog::{Catalog, CatalogError, Hosted};
 pub use limits::Limits;
 pub use serve::{Serving, serve};
 pub use session::Session;

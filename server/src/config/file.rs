@@ -1,6 +1,6 @@
 //! The file of settings.
 
-use super::{ConfigError, LogFormat, Set, Source};
+use super::{ConfigError, IoChoice, LogFormat, Set, Source};
 use crate::access::{Origins, Rule, Token};
 use serde::Deserialize;
 use std::collections::BTreeMap;
@@ -15,6 +15,8 @@ const MAX_BYTES: u64 = 1 << 20;
 #[serde(deny_unknown_fields)]
 struct Content {
     datasets: Option<Spanned<Vec<PathBuf>>>,
+    watch: Option<Spanned<Vec<PathBuf>>>,
+    io: Option<Spanned<IoChoice>>,
     listen: Option<Spanned<String>>,
     metrics_listen: Option<Spanned<String>>,
     tls_cert: Option<Spanned<PathBuf>>,
@@ -90,11 +92,21 @@ impl File {
     }
 
     pub(super) fn datasets(&self) -> Found<Vec<PathBuf>> {
-        let (folders, line) = self.found(&self.content.datasets)?;
-        Some((
-            folders.iter().map(|folder| self.beside(folder)).collect(),
-            line,
-        ))
+        self.folders(&self.content.datasets)
+    }
+
+    pub(super) fn watch(&self) -> Found<Vec<PathBuf>> {
+        self.folders(&self.content.watch)
+    }
+
+    fn folders(&self, field: &Option<Spanned<Vec<PathBuf>>>) -> Found<Vec<PathBuf>> {
+        let (folders, line) = self.found(field)?;
+        let beside = folders.iter().map(|folder| self.beside(folder));
+        Some((beside.collect(), line))
+    }
+
+    pub(super) fn io(&self) -> Found<IoChoice> {
+        self.found(&self.content.io)
     }
 
     pub(super) fn listen(&self) -> Found<String> {

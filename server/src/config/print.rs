@@ -1,6 +1,6 @@
 //! The settings that hold, as a file that could be read again; tokens are counted, not shown.
 
-use super::{Config, LogFormat, Set, Source};
+use super::{Config, IoChoice, LogFormat, Set, Source};
 use crate::access::{Origins, Rule};
 use crate::limits::ENTRIES;
 use std::fmt::Write;
@@ -33,8 +33,14 @@ impl Config {
             LogFormat::Text => Some(text("text")),
             LogFormat::Json => Some(text("json")),
         };
+        let io = |io: &IoChoice| match io {
+            IoChoice::Pread => Some(text("pread")),
+            IoChoice::Mmap => Some(text("mmap")),
+        };
         let mut lines = vec![
             line("datasets", &self.datasets, paths),
+            line("watch", &self.watch, paths),
+            line("io", &self.io, io),
             line("listen", &self.listen, |value| Some(text(value))),
             line("metrics_listen", &self.metrics_listen, |value| {
                 value.as_deref().map(text)

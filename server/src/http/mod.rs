@@ -5,7 +5,7 @@ mod page;
 mod problem;
 
 use crate::access::{Caller, Gate, guard};
-use crate::catalog::Catalog;
+use crate::catalog::{Catalog, Hosted};
 use crate::health::{self, Health};
 use crate::socket::{self, Sessions};
 use axum::extract::{Extension, Path, Request, State};
@@ -26,6 +26,17 @@ pub(crate) struct App {
     pub health: Arc<Health>,
     /// Whether `/metrics` is here, and not on an address of its own.
     pub counted: bool,
+}
+
+impl App {
+    /// The dataset of a name.
+    ///
+    /// # Errors
+    /// Status 404 if there is none.
+    pub(crate) fn hosted(&self, name: &str) -> Result<Arc<Hosted>, Problem> {
+        let found = self.catalog.get(name);
+        found.ok_or_else(|| Problem::no_dataset(self, name))
+    }
 }
 
 /// All addresses.
@@ -58,10 +69,13 @@ async fn welcome(
          Stream in a program:  ws://{host}/session (proto/PROTOCOL.md in Escarp's source)\n\n\
          Datasets:\n"
     );
-    for (name, _) in app.catalog.iter().filter(|(name, _)| caller.sees(name)) {
+    for name in app.catalog.names() {
+        if !caller.sees(&name) {
+            continue;
+        }
         text += &format!(
             "  http://{host}/{}\n",
-            crate::catalog::percent_encoded(name)
+            crate::catalog::percent_encoded(&name)
         );
     }
     text
@@ -73,10 +87,11 @@ async fn datasets(
     headers: HeaderMap,
 ) -> Json<Datasets> {
     let host = host(&headers);
-    let describe = |(name, source): (&str, &Arc<_>)| Dataset::of(name, source, host);
+    let describe = |hosted: &Arc<Hosted>| Dataset::of(hosted, host);
     Json(Datasets {
         datasets: {
-            let seen = app.catalog.iter().filter(|(name, _)| caller.sees(name));
+            let all = app.catalog.all();
+            let seen = all.iter().filter(|hosted| caller.sees(hosted.name()));
             seen.map(describe).collect()
         },
     })
@@ -87,21 +102,15 @@ async fn dataset(
     Path(name): Path<String>,
     headers: HeaderMap,
 ) -> Result<Json<Dataset>, Problem> {
-    let source = app
-        .catalog
-        .get(&name)
-        .ok_or_else(|| Problem::no_dataset(&app, &name))?;
-    Ok(Json(Dataset::of(&name, source, host(&headers))))
+    let hosted = app.hosted(&name)?;
+    Ok(Json(Dataset::of(&hosted, host(&headers))))
 }
 
 async fn manifest(
     State(app): State<App>,
     Path(name): Path<String>,
 ) -> Result<impl IntoResponse, Problem> {
-    let source = app
-        .catalog
-        .get(&name)
-        .ok_or_else(|| Problem::no_dataset(&app, &name))?;
+    let source = app.hosted(&name)?.source();
     let headers = [
         (header::CONTENT_TYPE, "application/json"),
         (header::CACHE_CONTROL, "no-cache"),

@@ -37,12 +37,13 @@ impl Problem {
     pub(super) fn unknown(app: &App, path: &str) -> Problem {
         // Those that need a token are not told to those who might have none.
         let access = app.gate.access();
-        let open = app.catalog.names().filter(|name| !access.needs_token(name));
+        let names = app.catalog.names().into_iter();
+        let open = names.filter(|name| !access.needs_token(name));
         Problem {
             status: StatusCode::NOT_FOUND,
             error: format!("there is no {path} here"),
             allowed: ADDRESSES.map(Into::into).into(),
-            datasets: open.map(Into::into).collect(),
+            datasets: open.collect(),
         }
     }
 

@@ -143,10 +143,11 @@ impl Session {
         self.caller = self.caller.clone().with_token(hello.token.as_deref());
         // What is denied must not depend on whether there is such a dataset.
         self.caller.check(&hello.dataset).map_err(denied)?;
-        let Some((name, source)) = self.catalog.meant(&hello.dataset) else {
+        let Some(hosted) = self.catalog.meant(&hello.dataset) else {
             return Err(PeerError::new(ErrorCode::NoDataset, self.names()));
         };
-        self.caller.check(name).map_err(denied)?;
+        self.caller.check(hosted.name()).map_err(denied)?;
+        let (name, source) = (hosted.name(), hosted.source());
         let codec = source.manifest().codec;
         if hello.codecs.checked_shr(codec.into()).unwrap_or(0) & 1 == 0 {
             let text = format!(
@@ -155,19 +156,21 @@ impl Session {
             );
             return Err(PeerError::new(ErrorCode::Version, text));
         }
-        Ok(source.clone())
+        Ok(source)
     }
 
     /// The names of the datasets, one a line, as many as fit an error's text.
     fn names(&self) -> String {
         let mut text = String::new();
-        for name in self.catalog.names().filter(|name| self.caller.sees(name)) {
+        let mut names = self.catalog.names();
+        names.retain(|name| self.caller.sees(name));
+        for name in names {
             let line = if text.is_empty() { "" } else { "\n" };
             if text.len() + line.len() + name.len() > MAX_TEXT {
                 break;
             }
             text.push_str(line);
-            text.push_str(name);
+            text.push_str(&name);
         }
         text
     }
