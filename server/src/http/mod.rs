@@ -8,17 +8,19 @@ mod describe;
 mod problem;
 mod service;
 
+use crate::access::{Caller, Gate, guard};
 use crate::catalog::{Catalog, Hosted};
+use crate::health::{self, Health};
 use crate::socket::{self, Sessions};
-use axum::Router;
-use axum::extract::{Path, Request, State};
+use axum::extract::{Extension, Path, Request, State};
 use axum::http::{HeaderMap, Method, StatusCode, header};
 use axum::middleware::map_response;
 use axum::response::{IntoResponse, Json, Response};
 use axum::routing::get;
+use axum::{Router, middleware};
 use describe::{Dataset, Datasets};
 pub(crate) use problem::Problem;
-pub(crate) use service::{Door, Service};
+pub(crate) use service::Service;
 use std::sync::Arc;
 
 /// What every handler needs.
@@ -26,8 +28,10 @@ use std::sync::Arc;
 pub(crate) struct App {
     pub catalog: Arc<Catalog>,
     pub sessions: Sessions,
-    /// What is asked before an answer goes past the router. Without one, everything is open.
-    pub door: Option<Arc<dyn Door>>,
+    pub gate: Arc<Gate>,
+    pub health: Arc<Health>,
+    /// Whether `/metrics` is here, and not on an address of its own.
+    pub counted: bool,
 }
 
 impl App {
@@ -43,9 +47,10 @@ impl App {
 
 /// All addresses.
 pub(crate) fn router(app: App) -> Router {
+    let gate = app.gate.clone();
     Router::new()
+        .merge(health::routes(app.counted))
         .route("/", get(welcome))
-        .route("/healthz", get(async || "ok\n"))
         .route("/datasets", get(datasets))
         .route("/session", get(socket::upgrade))
         .route("/{name}", get(dataset))
@@ -60,9 +65,14 @@ pub(crate) fn router(app: App) -> Router {
         .method_not_allowed_fallback(wrong_method)
         .layer(map_response(cors::labelled))
         .with_state(app)
+        .layer(middleware::from_fn_with_state(gate, guard))
 }
 
-async fn welcome(State(app): State<App>, headers: HeaderMap) -> String {
+async fn welcome(
+    State(app): State<App>,
+    Extension(caller): Extension<Caller>,
+    headers: HeaderMap,
+) -> String {
     let host = host(&headers);
     let mut text = format!(
         "This is an Escarp terrain server.\n\n\
@@ -72,6 +82,9 @@ async fn welcome(State(app): State<App>, headers: HeaderMap) -> String {
          Datasets:\n"
     );
     for name in app.catalog.names() {
+        if !caller.sees(&name) {
+            continue;
+        }
         text += &format!(
             "  http://{host}/{}\n",
             crate::catalog::percent_encoded(&name)
@@ -80,11 +93,19 @@ async fn welcome(State(app): State<App>, headers: HeaderMap) -> String {
     text
 }
 
-async fn datasets(State(app): State<App>, headers: HeaderMap) -> Json<Datasets> {
+async fn datasets(
+    State(app): State<App>,
+    Extension(caller): Extension<Caller>,
+    headers: HeaderMap,
+) -> Json<Datasets> {
     let host = host(&headers);
     let describe = |hosted: &Arc<Hosted>| Dataset::of(hosted, host);
     Json(Datasets {
-        datasets: app.catalog.all().iter().map(describe).collect(),
+        datasets: {
+            let all = app.catalog.all();
+            let seen = all.iter().filter(|hosted| caller.sees(hosted.name()));
+            seen.map(describe).collect()
+        },
     })
 }
 
