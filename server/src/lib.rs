@@ -16,6 +16,8 @@ pub mod native;
 
 pub mod dataset;
 
+pub mod heights;
+
 mod http;
 
 mod socket;

@@ -38,6 +38,7 @@ pub async fn serve(
     let router = router(App {
         catalog,
         sessions: sessions.clone(),
+        limits: limits.clone(),
     });
     let mut connections = Connections {
         places: Arc::new(Semaphore::new(limits.connections)),

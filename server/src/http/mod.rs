@@ -1,10 +1,12 @@
 //! The HTTP addresses: datasets, manifests, pages, and the way into a session.
 
 mod describe;
+mod heights;
 mod page;
 mod problem;
 
 use crate::catalog::Catalog;
+use crate::limits::Limits;
 use crate::socket::{self, Sessions};
 use axum::Router;
 use axum::extract::{Path, Request, State};
@@ -20,6 +22,7 @@ use std::sync::Arc;
 pub(crate) struct App {
     pub catalog: Arc<Catalog>,
     pub sessions: Sessions,
+    pub limits: Arc<Limits>,
 }
 
 /// All addresses.
@@ -32,6 +35,7 @@ pub(crate) fn router(app: App) -> Router {
         .route("/{name}", get(dataset))
         .route("/{name}/manifest", get(manifest))
         .route("/{name}/page/{level}/{x}/{y}", get(page::page))
+        .merge(heights::routes(&app.limits.heights))
         .fallback(unknown)
         .method_not_allowed_fallback(wrong_method)
         .with_state(app)
@@ -95,13 +99,18 @@ async fn unknown(State(app): State<App>, request: Request) -> Response {
 }
 
 async fn wrong_method(method: Method) -> Response {
+    not_allowed(&method, &["GET", "HEAD"])
+}
+
+/// Status 405, with the methods that there are.
+fn not_allowed(method: &Method, allowed: &[&str]) -> Response {
     let problem = Problem {
         status: StatusCode::METHOD_NOT_ALLOWED,
-        error: format!("this server does not {method}"),
-        allowed: vec!["GET".into(), "HEAD".into()],
+        error: format!("this address does not {method}"),
+        allowed: allowed.iter().map(|&method| method.into()).collect(),
         datasets: Vec::new(),
     };
-    ([(header::ALLOW, "GET, HEAD")], problem).into_response()
+    ([(header::ALLOW, allowed.join(", "))], problem).into_response()
 }
 
 /// The server's host and port as the client addressed it.
