@@ -13,7 +13,7 @@ use bincode::{Decode, Encode};
 use thiserror::Error;
 
 /// The protocol's version.
-pub const PROTOCOL: u16 = 1;
+pub const PROTOCOL: u16 = 2;
 /// No message of a client is longer, bytes.
 pub const MAX_CLIENT_MESSAGE: usize = 64 << 10;
 /// No message of a server is longer, bytes: Welcome carries the manifest.
@@ -29,6 +29,14 @@ pub const MAX_LIST: usize = 2048;
 const _: () = assert!(MAX_LIST * size_of::<Want>() + 16 <= MAX_CLIENT_MESSAGE);
 const _: () = assert!(MAX_LIST * size_of::<Have>() + 16 <= MAX_CLIENT_MESSAGE);
 
+/// Optional abilities, as bits of Hello and Welcome. Of both sides' bits, those count that both set.
+pub mod capability {
+    /// The server sends what a View needs unasked.
+    pub const PUSH: u64 = 1;
+    /// All that this version defines.
+    pub const KNOWN: u64 = PUSH;
+}
+
 /// What a client says.
 #[derive(Debug, Clone, PartialEq, Encode, Decode)]
 pub enum ClientMessage {
@@ -40,6 +48,8 @@ pub enum ClientMessage {
         sequence: u32,
         /// The view.
         view: View,
+        /// What of the terrain is of use.
+        scope: Scope,
     },
     /// Parts of pages that Update() reached. A page wanted again replaces the older wish.
     Want(Vec<Want>),
@@ -69,10 +79,13 @@ pub enum ServerMessage {
     Pages(Vec<Chunk>),
     /// A page that was wanted and does not come.
     Miss(Miss),
-    /// The data has a new generation. Pages of the old one stay valid in this session.
+    /// The data has a new generation. All that follows is of it, and the server has forgotten what
+    /// the client has, wants and looks at.
     GenChange {
         /// The new generation.
         generation: u64,
+        /// Its manifest, JSON.
+        manifest: Vec<u8>,
     },
     /// Nothing is queued or in flight.
     Idle {
@@ -83,6 +96,18 @@ pub enum ServerMessage {
     Pong(u64),
     /// Why the server ends the session.
     Error(PeerError),
+    /// Answers Have: those of its pages, by key, that are not of that revision any more.
+    Stale(Vec<u64>),
+}
+
+/// What of the terrain a client can use.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Encode, Decode)]
+pub enum Scope {
+    /// All around the eye: its mesh keeps the tolerance out of view, too.
+    #[default]
+    All,
+    /// What may be in view.
+    InView,
 }
 
 /// Opens a session.
@@ -92,7 +117,7 @@ pub struct Hello {
     pub oldest: u16,
     /// Highest protocol version understood.
     pub newest: u16,
-    /// Bits of optional capabilities; none is defined, and unknown ones are ignored.
+    /// Bits of [`capability`]; unknown ones are ignored.
     pub capabilities: u64,
     /// Bit `n` is set if codec `n` is understood.
     pub codecs: u32,
@@ -109,6 +134,8 @@ pub struct Hello {
 pub struct Welcome {
     /// The version spoken from here on.
     pub version: u16,
+    /// Bits of [`capability`] that both sides have.
+    pub capabilities: u64,
     /// The manifest, JSON.
     pub manifest: Vec<u8>,
     /// What the server allows.
@@ -122,6 +149,8 @@ pub struct SessionLimits {
     pub wanted_pages: u32,
     /// Views a second. More are dropped, newest kept.
     pub views_per_second: u32,
+    /// Pages of the client's that the server remembers. It pushes no more than it can remember.
+    pub held_pages: u32,
 }
 
 /// How urgent a page is. Classes go in this order, whatever the priority.
@@ -330,9 +359,11 @@ impl ServerMessage {
     pub fn decode(bytes: &[u8]) -> Result<Self, WireError> {
         let message = decode::<Self, MAX_SERVER_MESSAGE>(bytes)?;
         match &message {
-            ServerMessage::Welcome(welcome) => {
-                at_most("manifest", welcome.manifest.len(), MAX_MANIFEST_BYTES)?;
+            ServerMessage::Welcome(Welcome { manifest, .. })
+            | ServerMessage::GenChange { manifest, .. } => {
+                at_most("manifest", manifest.len(), MAX_MANIFEST_BYTES)?;
             }
+            ServerMessage::Stale(list) => at_most("Stale list", list.len(), MAX_LIST)?,
             ServerMessage::Pages(chunks) => {
                 let longest = chunks.iter().map(|chunk| chunk.bytes.len()).max();
                 at_most("chunk", longest.unwrap_or(0), MAX_RECORD_BYTES)?;

@@ -6,6 +6,8 @@
 
 pub mod limits;
 
+pub mod metrics;
+
 pub mod source;
 
 pub mod catalog;
@@ -17,6 +19,8 @@ pub mod native;
 pub mod dataset;
 
 pub mod heights;
+
+pub mod watch;
 
 mod http;
 
@@ -31,7 +35,7 @@ pub mod cli;
 #[cfg(test)]
 mod tests;
 
-pub use catalog::{Catalog, CatalogError};
+pub use catalog::{Catalog, CatalogError, Hosted};
 pub use limits::Limits;
 pub use serve::serve;
 pub use session::Session;

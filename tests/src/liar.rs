@@ -125,10 +125,12 @@ pub fn chunk(dataset: &Dataset, want: &Want) -> Option<Chunk> {
 fn welcome(dataset: &Dataset) -> ServerMessage {
     ServerMessage::Welcome(Welcome {
         version: PROTOCOL,
+        capabilities: 0,
         manifest: dataset.manifest_json().to_vec(),
         limits: SessionLimits {
             wanted_pages: 1024,
             views_per_second: 20,
+            held_pages: 4096,
         },
     })
 }

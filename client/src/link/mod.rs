@@ -118,6 +118,7 @@ impl Link {
             limits: SessionLimits {
                 wanted_pages: u32::MAX,
                 views_per_second: u32::MAX,
+                held_pages: u32::MAX,
             },
             held: Held::default(),
             flights: Flights::default(),

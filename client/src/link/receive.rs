@@ -43,12 +43,14 @@ impl Link {
                 chunks.into_iter().for_each(|chunk| self.on_chunk(chunk))
             }
             ServerMessage::Miss(miss) => self.on_miss(miss, now),
-            ServerMessage::GenChange { generation } => {
+            ServerMessage::GenChange { generation, .. } => {
                 self.events.push_latest(Event::GenChange { generation });
             }
             ServerMessage::Idle { view_sequence } => {
                 self.events.push_latest(Event::Idle { view_sequence });
             }
+            // Nothing that may be stale is said to be held before its manifest is the same.
+            ServerMessage::Stale(_) => {}
             ServerMessage::Pong(number) => self.keep_alive.pong(number, now),
             ServerMessage::Error(error) => self.on_refused(&error, now),
         }
@@ -62,6 +64,7 @@ impl Link {
             (ServerMessage::Pages(_), false) => error("Pages", "before Welcome"),
             (ServerMessage::Miss(_), false) => error("Miss", "before Welcome"),
             (ServerMessage::GenChange { .. }, false) => error("GenChange", "before Welcome"),
+            (ServerMessage::Stale(_), false) => error("Stale", "before Welcome"),
             (ServerMessage::Idle { .. }, false) => error("Idle", "before Welcome"),
             _ => Ok(()),
         }

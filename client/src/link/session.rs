@@ -2,7 +2,7 @@
 
 use super::LinkConfig;
 use escarp_proto::view::View;
-use escarp_proto::wire::{ClientMessage, PAGES_FRAME};
+use escarp_proto::wire::{ClientMessage, PAGES_FRAME, Scope};
 use std::time::Duration;
 
 /// How many page bytes the server may send. Invariants: the grant never falls, and is at most one
@@ -177,7 +177,12 @@ impl Views {
         self.sent = Some(view);
         self.next_at = now + self.interval.max(allowed);
         let sequence = self.sequence;
-        Some(ClientMessage::View { sequence, view })
+        let scope = Scope::All;
+        Some(ClientMessage::View {
+            sequence,
+            view,
+            scope,
+        })
     }
 
     pub(super) fn sequence(&self) -> u32 {

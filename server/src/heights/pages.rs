@@ -60,8 +60,8 @@ impl<'a> Pages<'a> {
         }
         let finest = grid.is_finest(id);
         let found = self.source.record(id);
-        if let Some((_, record)) = found.map_err(|error| HeightError::damaged(id, &error))? {
-            return Page::decode(id, finest, last_part(finest), &record).map_err(|error| {
+        if let Some(record) = found.map_err(|error| HeightError::damaged(id, &error))? {
+            return Page::decode(id, finest, last_part(finest), &record.bytes).map_err(|error| {
                 let why = error.to_string();
                 HeightError::Page { page: id, why }
             });

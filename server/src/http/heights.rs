@@ -10,7 +10,6 @@ use super::{App, Problem};
 use crate::heights::{
     self, CoordinateKind, Detail, Frame, GridPlace, HeightLimits, Pages, Spread, Work,
 };
-use crate::source::PageSource;
 use answer::{About, Batch, Point, Profile, SightAnswer};
 use axum::Router;
 use axum::body::Body;
@@ -49,14 +48,6 @@ async fn wrong_method(method: Method) -> Response {
     super::not_allowed(&method, &["GET", "HEAD", "POST"])
 }
 
-/// The dataset that is asked, as it stands now.
-pub(super) fn source_of(app: &App, name: &str) -> Result<Arc<dyn PageSource>, Problem> {
-    app.catalog
-        .get(name)
-        .cloned()
-        .ok_or_else(|| Problem::no_dataset(app, name))
-}
-
 type Gate = Extension<Arc<Gates>>;
 
 /// `GET /{name}/heights`: one point.
@@ -66,7 +57,7 @@ async fn point(
     Path(name): Path<String>,
     RawQuery(query): RawQuery,
 ) -> Result<Response, Refused> {
-    let source = source_of(&app, &name)?;
+    let source = app.hosted(&name)?.source();
     let query = Query::parse(query, &["x", "y", "lon", "lat", "error", "resolution"])?;
     let (kind, point) = query.point()?;
     let detail = query.detail()?;
@@ -94,7 +85,7 @@ async fn batch(
     headers: HeaderMap,
     body: Body,
 ) -> Result<Response, Refused> {
-    let source = source_of(&app, &name)?;
+    let source = app.hosted(&name)?.source();
     let query = Query::parse(query, &["crs", "error", "resolution"])?;
     let (kind, detail) = (query.kind()?, query.detail()?);
     let limits = &app.limits;
@@ -129,7 +120,7 @@ async fn profile(
     method: Method,
     body: Body,
 ) -> Result<Response, Refused> {
-    let source = source_of(&app, &name)?;
+    let source = app.hosted(&name)?.source();
     let known = ["points", "crs", "samples", "spacing", "error", "resolution"];
     let is_post = method == Method::POST;
     let query = Query::parse(query, &known[usize::from(is_post)..])?;
@@ -181,7 +172,7 @@ async fn sight(
     Path(name): Path<String>,
     RawQuery(query): RawQuery,
 ) -> Result<Response, Refused> {
-    let source = source_of(&app, &name)?;
+    let source = app.hosted(&name)?.source();
     let query = Query::parse(
         query,
         &[
@@ -228,7 +219,7 @@ async fn viewshed(
     Path(name): Path<String>,
     RawQuery(query): RawQuery,
 ) -> Result<Response, Refused> {
-    let source = source_of(&app, &name)?;
+    let source = app.hosted(&name)?.source();
     let query = Query::parse(
         query,
         &[

@@ -46,6 +46,7 @@ impl Open {
             announced: SessionLimits {
                 wanted_pages: u32::try_from(limits.wanted_pages).unwrap_or(u32::MAX),
                 views_per_second: limits.views_per_second,
+                held_pages: u32::try_from(limits.cached_pages).unwrap_or(u32::MAX),
             },
             replies: VecDeque::from([Reply::Welcome]),
             queue: WantQueue::new(limits.wanted_pages),
@@ -76,7 +77,7 @@ impl Open {
             ClientMessage::Hello(_) => return Err(protocol("a second Hello")),
             // The session has ended before an Error gets here.
             ClientMessage::Error(_) => {}
-            ClientMessage::View { sequence, view } => {
+            ClientMessage::View { sequence, view, .. } => {
                 view.check()
                     .map_err(|error| protocol(format!("View {sequence}: {error}")))?;
                 if !self.views.receive((sequence, view)) {
@@ -173,6 +174,7 @@ impl Open {
     fn welcome(&self) -> Welcome {
         Welcome {
             version: PROTOCOL,
+            capabilities: 0,
             manifest: self.source.manifest_json().to_vec(),
             limits: self.announced,
         }

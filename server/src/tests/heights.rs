@@ -89,7 +89,7 @@ fn ramp() -> Made {
 }
 
 async fn hosting(limits: Limits) -> Hosting {
-    let mut catalog = Catalog::default();
+    let catalog = Catalog::default();
     let made = ramp();
     catalog.add("ramp", Arc::new(made.dataset)).unwrap();
     Hosting::start(catalog, limits).await

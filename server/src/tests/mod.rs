@@ -33,7 +33,7 @@ struct Server {
 impl Server {
     async fn start(limits: Limits) -> Server {
         let source = Arc::new(FakeSource::new());
-        let mut catalog = Catalog::default();
+        let catalog = Catalog::default();
         catalog.add("fake", source.clone()).unwrap();
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.local_addr().unwrap();
@@ -74,8 +74,8 @@ impl Server {
 
 fn hello(credit_bytes: u64) -> Hello {
     Hello {
-        oldest: 1,
-        newest: 1,
+        oldest: escarp_proto::wire::PROTOCOL,
+        newest: escarp_proto::wire::PROTOCOL,
         capabilities: 0,
         codecs: 1,
         dataset: String::new(),

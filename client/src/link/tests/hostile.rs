@@ -107,11 +107,12 @@ fn what_breaks_the_protocol_ends_the_session_with_its_reason() {
     };
     let version = ServerMessage::Welcome(Welcome {
         version: 9,
+        capabilities: 0,
         ..good.clone()
     });
     assert_eq!(
         early(&version),
-        "in Welcome: protocol version 9, allowed is 1"
+        "in Welcome: protocol version 9, allowed is 2"
     );
     let manifest = ServerMessage::Welcome(Welcome {
         manifest: b"{".into(),
@@ -170,7 +171,10 @@ fn message() -> impl Strategy<Value = ServerMessage> {
             ServerMessage::Miss(Miss { page: page(number).key(), reason })
         }),
         2 => any::<u32>().prop_map(|view_sequence| ServerMessage::Idle { view_sequence }),
-        2 => any::<u64>().prop_map(|generation| ServerMessage::GenChange { generation }),
+        2 => any::<u64>().prop_map(|generation| ServerMessage::GenChange {
+            generation,
+            manifest: Vec::new(),
+        }),
         2 => (0u64..5).prop_map(ServerMessage::Pong),
         1 => (1u64..3).prop_map(welcome),
         1 => Just(refusal(ErrorCode::Internal)),

@@ -98,10 +98,12 @@ pub fn manifest(generation: u64) -> Manifest {
 pub fn welcome(generation: u64) -> ServerMessage {
     ServerMessage::Welcome(Welcome {
         version: PROTOCOL,
+        capabilities: 0,
         manifest: manifest(generation).to_json(),
         limits: SessionLimits {
             wanted_pages: 4096,
             views_per_second: 20,
+            held_pages: 4096,
         },
     })
 }

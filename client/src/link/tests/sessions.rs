@@ -226,7 +226,9 @@ fn views_go_out_at_most_twenty_a_second_the_newest_wins_and_the_same_is_not_repe
             said(&mut link, ms(tick.into()))
                 .into_iter()
                 .filter_map(|message| match message {
-                    ClientMessage::View { sequence, view } => Some((tick, sequence, view.eye_m[0])),
+                    ClientMessage::View { sequence, view, .. } => {
+                        Some((tick, sequence, view.eye_m[0]))
+                    }
                     _ => None,
                 });
         sent.extend(views);

@@ -5,7 +5,7 @@ use super::*;
 const CLIENT: [&str; 9] = [
     "00 01 fb2c01 fd0000000000010000 01 04 6d6f6f6e fc00000100 01 01 74",
     "01 fbfb00 000000000000f03f 00000000000000c0 000000000000e03f 00000000 0000803f 00000000 \
-     00000000 00000000 000080bf 0000803f fb0005 fa 00000040",
+     00000000 00000000 000080bf 0000803f fb0005 fa 00000040 00",
     "02 01 fd0700000000000004 00 ff 03 0000c03f",
     "03 02 00 fc00000100",
     "04 fdffffffffffffffff",
@@ -15,14 +15,15 @@ const CLIENT: [&str; 9] = [
     "08 06 02 c3a9",
 ];
 
-const SERVER: [&str; 7] = [
-    "00 01 02 7b7d fb0008 14",
+const SERVER: [&str; 8] = [
+    "00 01 01 02 7b7d fb0008 14 07",
     "01 01 00 fcefbeadde 00 01 03 aaffbb",
     "02 09 02",
-    "03 02",
+    "03 02 02 7b7d",
     "04 05",
     "05 fbffff",
     "06 05 00",
+    "07 02 04 fb2c01",
 ];
 
 fn bytes(hex: &str) -> Vec<u8> {
@@ -48,6 +49,9 @@ fn enums_count_from_zero_in_the_order_of_the_specification() {
     let classes = [Class::Blocker, Class::InView, Class::Predicted, Class::Ring];
     for (number, class) in classes.into_iter().enumerate() {
         assert_eq!(encode(&class), [number as u8]);
+    }
+    for (number, scope) in [Scope::All, Scope::InView].into_iter().enumerate() {
+        assert_eq!(encode(&scope), [number as u8]);
     }
     let reasons = [MissReason::NotFound, MissReason::Damaged, MissReason::Busy];
     for (number, reason) in reasons.into_iter().enumerate() {

@@ -65,8 +65,15 @@ fn a_forged_count_is_refused_by_the_limit_before_memory_is_taken() {
             "{before:?}"
         );
     }
-    // Manifest, list of chunks, a chunk's bytes, error text.
-    let lists: [&[u8]; 4] = [&[0, 1], &[1], &[1, 1, 0, 0, 0, 0], &[6, 0]];
+    // Manifests, list of chunks, a chunk's bytes, error text, stale pages.
+    let lists: [&[u8]; 6] = [
+        &[0, 1, 0],
+        &[3, 0],
+        &[1],
+        &[1, 1, 0, 0, 0, 0],
+        &[6, 0],
+        &[7],
+    ];
     for before in lists {
         assert!(
             is_limit(ServerMessage::decode(&forged(before))),
@@ -116,10 +123,12 @@ fn the_longest_manifest_text_and_record_pass_and_one_byte_more_does_not() {
         let limits = SessionLimits {
             wanted_pages: u32::MAX,
             views_per_second: u32::MAX,
+            held_pages: u32::MAX,
         };
         [
             ServerMessage::Welcome(Welcome {
                 version: 1,
+                capabilities: 0,
                 manifest: vec![b' '; MAX_MANIFEST_BYTES + more],
                 limits,
             }),

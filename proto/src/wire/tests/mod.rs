@@ -27,6 +27,7 @@ fn client_messages() -> Vec<ClientMessage> {
                 viewport_px: [1280, 250],
                 max_screen_error_px: 2.0,
             },
+            scope: Scope::All,
         },
         ClientMessage::Want(vec![Want {
             page: 4 << 56 | 7,
@@ -55,10 +56,12 @@ fn server_messages() -> Vec<ServerMessage> {
     vec![
         ServerMessage::Welcome(Welcome {
             version: 1,
+            capabilities: 1,
             manifest: b"{}".to_vec(),
             limits: SessionLimits {
                 wanted_pages: 2048,
                 views_per_second: 20,
+                held_pages: 7,
             },
         }),
         ServerMessage::Pages(vec![Chunk {
@@ -72,9 +75,13 @@ fn server_messages() -> Vec<ServerMessage> {
             page: 9,
             reason: MissReason::Busy,
         }),
-        ServerMessage::GenChange { generation: 2 },
+        ServerMessage::GenChange {
+            generation: 2,
+            manifest: b"{}".to_vec(),
+        },
         ServerMessage::Idle { view_sequence: 5 },
         ServerMessage::Pong(65535),
         ServerMessage::Error(PeerError::new(ErrorCode::ShuttingDown, "")),
+        ServerMessage::Stale(vec![4, 300]),
     ]
 }

@@ -1,7 +1,8 @@
 //! Points, batches and profiles.
 
 use super::*;
-use crate::source::SourceError;
+use crate::source::{GenerationId, Pack, Revised, SourceError};
+use escarp_proto::geometry::PageId;
 use escarp_proto::manifest::Manifest;
 
 const SIZE: [u32; 2] = [333, 271];
@@ -205,12 +206,17 @@ impl PageSource for Counted<'_> {
         self.0.manifest_json()
     }
 
-    fn record(
-        &self,
-        page: escarp_proto::geometry::PageId,
-    ) -> Result<Option<crate::source::Revised<'_>>, SourceError> {
+    fn generation_id(&self) -> GenerationId {
+        PageSource::generation_id(self.0)
+    }
+
+    fn record(&self, page: PageId) -> Result<Option<Revised>, SourceError> {
         self.1.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
         PageSource::record(self.0, page)
+    }
+
+    fn pack(&self, parent: PageId) -> Result<Option<Pack>, SourceError> {
+        PageSource::pack(self.0, parent)
     }
 }
 

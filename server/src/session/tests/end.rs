@@ -22,6 +22,7 @@ fn every_message_but_hello() -> Vec<ClientMessage> {
         ClientMessage::View {
             sequence: 1,
             view: view(),
+            scope: Scope::All,
         },
         ClientMessage::Want(vec![]),
         ClientMessage::Cancel(vec![]),
@@ -39,7 +40,7 @@ fn hello_is_answered_by_welcome_with_manifest_and_limits() {
     let Some(ServerMessage::Welcome(welcome)) = peer.hear() else {
         panic!("no welcome")
     };
-    assert_eq!(welcome.version, 1);
+    assert_eq!(welcome.version, PROTOCOL);
     assert_eq!(welcome.manifest, SOURCE.manifest_json());
     assert_eq!(
         (welcome.limits.wanted_pages, welcome.limits.views_per_second),
@@ -73,7 +74,7 @@ fn hello_must_have_a_version_a_codec_and_a_dataset_in_common() {
     assert_eq!(answer(|_| ()), None);
     assert_eq!(answer(|h| h.newest = 9), None);
     assert_eq!(
-        answer(|h| (h.oldest, h.newest) = (2, 9)),
+        answer(|h| (h.oldest, h.newest) = (3, 9)),
         Some(ErrorCode::Version)
     );
     assert_eq!(
@@ -92,7 +93,7 @@ fn hello_must_have_a_version_a_codec_and_a_dataset_in_common() {
 
 #[test]
 fn a_wrong_name_is_answered_by_the_right_ones_one_a_line() {
-    let mut catalog = Catalog::default();
+    let catalog = Catalog::default();
     for name in ["moon", "alps"] {
         catalog.add(name, SOURCE.clone()).unwrap();
     }
@@ -110,7 +111,7 @@ fn a_wrong_name_is_answered_by_the_right_ones_one_a_line() {
 
 #[test]
 fn names_that_do_not_fit_an_error_are_left_out_whole() {
-    let mut catalog = Catalog::default();
+    let catalog = Catalog::default();
     for number in 100..200 {
         catalog
             .add(&format!("{number}{}", "n".repeat(97)), SOURCE.clone())
@@ -131,6 +132,7 @@ fn what_breaks_the_rules_ends_the_session() {
         ClientMessage::View {
             sequence: 0,
             view: view(),
+            scope: Scope::All,
         },
         ClientMessage::View {
             sequence: 1,
@@ -138,6 +140,7 @@ fn what_breaks_the_rules_ends_the_session() {
                 fov_y: f32::NAN,
                 ..view()
             },
+            scope: Scope::All,
         },
         ClientMessage::Evict(vec![u64::MAX]),
     ];

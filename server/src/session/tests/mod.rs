@@ -9,7 +9,7 @@ mod wants;
 
 use super::*;
 use crate::tests::fake::FakeSource;
-use escarp_proto::wire::{Chunk, Class, Miss, Want};
+use escarp_proto::wire::{Chunk, Class, Miss, Scope, Want};
 use std::sync::LazyLock;
 
 /// One for all tests: its records are made once.
@@ -25,8 +25,8 @@ pub(super) struct Peer {
 
 pub(super) fn hello(credit_bytes: u64) -> Hello {
     Hello {
-        oldest: 1,
-        newest: 1,
+        oldest: escarp_proto::wire::PROTOCOL,
+        newest: escarp_proto::wire::PROTOCOL,
         capabilities: 0,
         codecs: 1,
         dataset: "fake".into(),
@@ -65,7 +65,7 @@ pub(super) fn view() -> View {
 impl Peer {
     /// Before Hello.
     pub fn new(limits: Limits) -> Peer {
-        let mut catalog = Catalog::default();
+        let catalog = Catalog::default();
         catalog.add("fake", SOURCE.clone()).unwrap();
         Peer::of(catalog, limits)
     }

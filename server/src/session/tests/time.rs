@@ -6,6 +6,7 @@ fn view_message(sequence: u32) -> ClientMessage {
     ClientMessage::View {
         sequence,
         view: view(),
+        scope: Scope::All,
     }
 }
 
