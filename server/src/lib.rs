@@ -24,6 +24,8 @@ pub mod native;
 
 pub mod dataset;
 
+pub mod heights;
+
 pub mod watch;
 
 mod http;

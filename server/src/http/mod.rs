@@ -5,12 +5,14 @@ mod conditions;
 mod cors;
 mod data;
 mod describe;
+mod heights;
 mod problem;
 mod service;
 
 use crate::access::{Caller, Gate, guard};
 use crate::catalog::{Catalog, Hosted};
 use crate::health::{self, Health};
+use crate::limits::Limits;
 use crate::socket::{self, Sessions};
 use axum::extract::{Extension, Path, Request, State};
 use axum::http::{HeaderMap, Method, StatusCode, header};
@@ -32,6 +34,7 @@ pub(crate) struct App {
     pub health: Arc<Health>,
     /// Whether `/metrics` is here, and not on an address of its own.
     pub counted: bool,
+    pub limits: Arc<Limits>,
 }
 
 impl App {
@@ -61,6 +64,7 @@ pub(crate) fn router(app: App) -> Router {
         .route("/{name}/{generation}/manifest", get(data::data))
         .route("/{name}/{generation}/page/{level}/{x}/{y}", get(data::data))
         .route("/{name}/{generation}/pack/{level}/{x}/{y}", get(data::data))
+        .merge(heights::routes(&app.limits.heights))
         .fallback(unknown)
         .method_not_allowed_fallback(wrong_method)
         .layer(map_response(cors::labelled))
@@ -130,14 +134,19 @@ async fn wrong_method(method: Method) -> Response {
     if method == Method::OPTIONS {
         return cors::options();
     }
+    not_allowed(&method, cors::METHODS)
+}
+
+/// Status 405, with the methods that there are.
+fn not_allowed(method: &Method, allowed: &'static str) -> Response {
     let problem = Problem {
-        allowed: cors::METHODS.split(", ").map(Into::into).collect(),
+        allowed: allowed.split(", ").map(Into::into).collect(),
         ..Problem::plain(
             StatusCode::METHOD_NOT_ALLOWED,
-            format!("this server does not {method}"),
+            format!("this address does not {method}"),
         )
     };
-    ([(header::ALLOW, cors::METHODS)], problem).into_response()
+    ([(header::ALLOW, allowed)], problem).into_response()
 }
 
 /// The server's host and port as the client addressed it.
