@@ -24,4 +24,6 @@ pub mod app;
 
 pub mod remote;
 
+pub mod pull;
+
 pub mod cli;

@@ -14,15 +14,13 @@ pub mod frame;
 
 pub mod build;
 
-pub mod dataset;
+pub use escarp_dataset as dataset;
 
 pub mod update;
 
 pub mod export;
 
 pub mod verify;
-
-mod checksum;
 
 pub mod process;
 
