@@ -8,7 +8,7 @@ use crate::app::{StepStats, TerrainClient, Waker};
 use crate::governor::{Governor, Load};
 use crate::link::{Event, Link, LinkConfig, LinkState};
 use crate::mesh::{MeshOptions, PageMesh};
-use crate::net::{Connection, Url};
+use crate::net::{Carrier, Connection, Url};
 use crate::stages::Stages;
 use crate::terrain::{Terrain, TerrainStep};
 use escarp_proto::geometry::PageId;
@@ -35,7 +35,7 @@ fn in_words(reason: MissReason) -> &'static str {
 /// A terrain on a server.
 pub struct RemoteTerrain {
     link: Link,
-    connection: Connection,
+    connection: Box<dyn Carrier>,
     terrain: Option<Terrain>,
     options: ClientOptions,
     governor: Governor,
@@ -73,13 +73,28 @@ impl RemoteTerrain {
                 waker();
             }
         };
+        let config = LinkConfig::new(url.dataset().unwrap_or(""));
+        let connection = Connection::with_waker(url, Box::new(wake));
         RemoteTerrain {
-            link: Link::new(LinkConfig::new(url.dataset().unwrap_or(""))),
-            connection: Connection::with_waker(url, Box::new(wake)),
+            waker,
+            ..RemoteTerrain::over(Box::new(connection), config, options)
+        }
+    }
+
+    /// A terrain behind another carrier than a socket of this machine, and another link than the
+    /// usual one.
+    pub fn over(
+        connection: Box<dyn Carrier>,
+        config: LinkConfig,
+        options: ClientOptions,
+    ) -> RemoteTerrain {
+        RemoteTerrain {
+            link: Link::new(config),
+            connection,
             terrain: None,
             governor: options.governor(),
             options,
-            waker,
+            waker: SharedWaker::default(),
             now: Duration::ZERO,
             refused: None,
             last_step: TerrainStep::default(),
@@ -131,6 +146,11 @@ impl RemoteTerrain {
         if self.reasons.len() < MOST_REASONS {
             self.reasons.push(format!("page {page}: {why}"));
         }
+    }
+
+    /// The link to the server, for its figures.
+    pub fn link(&self) -> &Link {
+        &self.link
     }
 
     /// The terrain, once the server has told what it is.

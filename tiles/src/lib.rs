@@ -15,6 +15,7 @@ pub mod frame;
 pub mod build;
 
 pub use escarp_dataset as dataset;
+pub use escarp_dataset::checksum;
 
 pub mod update;
 

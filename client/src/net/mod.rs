@@ -31,6 +31,18 @@ const REPORTS: usize = 256;
 /// Reports taken in one turn, so that a flood cannot hold a frame up.
 const REPORTS_A_TURN: usize = 2 * REPORTS;
 
+/// What moves messages between a link and its server.
+pub trait Carrier: Send {
+    /// Does all that is due, by the order of calls of [`Link`]. Never blocks.
+    fn drive(&mut self, link: &mut Link, now: Duration);
+}
+
+impl Carrier for Connection {
+    fn drive(&mut self, link: &mut Link, now: Duration) {
+        Connection::drive(self, link, now);
+    }
+}
+
 /// The way to a server. Dropping it closes the socket and ends its thread.
 #[derive(Debug)]
 pub struct Connection {
