@@ -22,6 +22,8 @@ pub mod render;
 
 pub mod app;
 
+pub mod cache;
+
 pub mod remote;
 
 pub mod pull;
