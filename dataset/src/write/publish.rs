@@ -33,7 +33,7 @@ impl DatasetWriter {
     }
 
     /// Removes all files that a published manifest does not name. Gives its generation.
-    pub(crate) fn remove_unnamed(&self, manifest: &Manifest) -> Result<u64, DatasetError> {
+    pub fn remove_unnamed(&self, manifest: &Manifest) -> Result<u64, DatasetError> {
         let own = manifest.generation;
         let named: HashSet<&str> = manifest.segments.iter().map(|s| s.file.as_str()).collect();
         remove_files(&self.folder, |name, generation| {
@@ -52,7 +52,7 @@ impl DatasetWriter {
     /// # Errors
     /// [`DatasetError::Usage`] if there are more segments than a manifest can name;
     /// [`DatasetError::Io`] if the system refuses. What was published before then stays.
-    pub(crate) fn publish_beside(mut self, manifest: Manifest) -> Result<Manifest, DatasetError> {
+    pub fn publish_beside(mut self, manifest: Manifest) -> Result<Manifest, DatasetError> {
         self.publish_now(manifest)
     }
 

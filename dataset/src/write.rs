@@ -43,7 +43,7 @@ impl FamilyBytes {
     }
 
     /// A family of a dataset as it is, each record checked; and how many there are.
-    pub(crate) fn copy(
+    pub fn copy(
         dataset: &Dataset,
         entry: &IndexEntry,
     ) -> Result<(FamilyBytes, usize), DatasetError> {
@@ -104,7 +104,7 @@ impl DatasetWriter {
 
     /// As [`create`](Self::create), but what an unfinished writer left behind stays for
     /// [`go_on`](Self::go_on), until [`start_anew`](Self::start_anew).
-    pub(crate) fn reopen(folder: &Path, overwrite: bool) -> Result<DatasetWriter, DatasetError> {
+    pub fn reopen(folder: &Path, overwrite: bool) -> Result<DatasetWriter, DatasetError> {
         Self::lock(folder, overwrite)
     }
 
@@ -113,7 +113,7 @@ impl DatasetWriter {
     /// # Errors
     /// [`DatasetError::Usage`] if another program writes there, if an unfinished build lies there,
     /// or if the dataset is no more the published one; [`DatasetError::Io`].
-    pub(crate) fn extend(base: &Dataset) -> Result<DatasetWriter, DatasetError> {
+    pub fn extend(base: &Dataset) -> Result<DatasetWriter, DatasetError> {
         let folder = base.folder();
         let mut writer = Self::lock(folder, true)?;
         let usage = |why: String| {
@@ -179,7 +179,7 @@ impl DatasetWriter {
 
     /// Removes what unfinished writers left behind. Nothing published is touched: the published
     /// generation may share segments with those before it.
-    pub(crate) fn start_anew(&mut self) -> Result<(), DatasetError> {
+    pub fn start_anew(&mut self) -> Result<(), DatasetError> {
         self.keep = false;
         let own = self.generation;
         remove_files(&self.folder, |name, generation| {
@@ -188,12 +188,12 @@ impl DatasetWriter {
     }
 
     /// From now on, what is written stays when the writer goes, for [`go_on`](Self::go_on).
-    pub(crate) fn keep_unfinished(&mut self, keep: bool) {
+    pub fn keep_unfinished(&mut self, keep: bool) {
         self.keep = keep;
     }
 
     /// Where a journal of this writer belongs.
-    pub(crate) fn journal_path(&self) -> PathBuf {
+    pub fn journal_path(&self) -> PathBuf {
         journal_path(&self.folder, self.generation)
     }
 
@@ -214,12 +214,12 @@ impl DatasetWriter {
     }
 
     /// Families written so far, in order.
-    pub(crate) fn written(&self) -> &[IndexEntry] {
+    pub fn written(&self) -> &[IndexEntry] {
         &self.index
     }
 
     /// Makes durable what was written so far.
-    pub(crate) fn sync(&mut self) -> Result<(), DatasetError> {
+    pub fn sync(&mut self) -> Result<(), DatasetError> {
         let Some(open) = &mut self.open else {
             return Ok(());
         };
@@ -232,7 +232,7 @@ impl DatasetWriter {
     ///
     /// # Errors
     /// [`DatasetError::Damaged`] if that generation says that it has fewer in all.
-    pub(crate) fn replace(&mut self, family: FamilyId, pages: usize) -> Result<(), DatasetError> {
+    pub fn replace(&mut self, family: FamilyId, pages: usize) -> Result<(), DatasetError> {
         if self.replaced.insert(family) {
             let left = self.pages.checked_sub(pages as u64);
             self.pages = left.ok_or_else(|| {

@@ -1,3 +1,5 @@
+//! The files of a dataset: opened, mapped read-only, read page by page, written, published.
+//!
 //! A published dataset: opened, mapped read-only, and read page by page.
 //!
 //! Invariants, checked when a dataset is opened: every file has the length that the manifest
@@ -6,6 +8,7 @@
 //!
 //! `tiles/FORMAT.md` has the byte map.
 
+pub mod checksum;
 mod current;
 mod error;
 mod family;
@@ -26,7 +29,7 @@ pub use figures::Figures;
 pub use files::{Unfinished, disk_bytes, generations, unfinished};
 pub use filled::{FilledRun, FilledRuns};
 pub use index::IndexEntry;
-pub(crate) use journal::{Journal, MAX_ENTRY_BYTES};
+pub use journal::{Journal, MAX_ENTRY_BYTES};
 pub use read::PageReader;
 pub use serve::{Io, ReadError, Stored, Wait};
 pub use write::{DatasetWriter, FamilyBytes, MAX_SEGMENT_BYTES};
@@ -200,7 +203,7 @@ impl Dataset {
     }
 
     /// The bytes of a family, not checked.
-    pub(crate) fn family_bytes(&self, entry: &IndexEntry) -> &[u8] {
+    pub fn family_bytes(&self, entry: &IndexEntry) -> &[u8] {
         let segment = &self.segments[entry.segment as usize];
         &segment.bytes()[entry.offset as usize..][..entry.bytes as usize]
     }

@@ -115,7 +115,7 @@ impl Index {
 
 impl IndexEntry {
     /// Reads an entry as the index has it; `None` if the bytes end, or no family has the id.
-    pub(crate) fn read(reader: &mut Reader<'_>) -> Option<IndexEntry> {
+    pub fn read(reader: &mut Reader<'_>) -> Option<IndexEntry> {
         Some(IndexEntry {
             family: FamilyId::from_u64(reader.u64()?)?,
             offset: reader.u64()?,
@@ -126,7 +126,7 @@ impl IndexEntry {
     }
 
     /// Appends the entry as the index has it.
-    pub(crate) fn put(&self, out: &mut Vec<u8>) {
+    pub fn put(&self, out: &mut Vec<u8>) {
         out.extend(self.family.to_u64().to_le_bytes());
         out.extend(self.offset.to_le_bytes());
         out.extend(self.bytes.to_le_bytes());

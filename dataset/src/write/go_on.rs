@@ -16,7 +16,7 @@ impl DatasetWriter {
     ///
     /// # Errors
     /// [`DatasetError::Damaged`] if the segments do not hold what the index says.
-    pub(crate) fn go_on(&mut self, index: Vec<IndexEntry>, pages: u64) -> Result<(), DatasetError> {
+    pub fn go_on(&mut self, index: Vec<IndexEntry>, pages: u64) -> Result<(), DatasetError> {
         for entry in &index {
             if entry.segment as usize == self.segments.len() {
                 self.segments.push(self.named());

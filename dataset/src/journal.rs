@@ -11,13 +11,13 @@ use std::io::{BufReader, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 /// No entry is longer, bytes.
-pub(crate) const MAX_ENTRY_BYTES: usize = 256 << 20;
+pub const MAX_ENTRY_BYTES: usize = 256 << 20;
 
 const HEAD: u64 = 4 + 4;
 
 /// A journal that is open for appending.
 #[derive(Debug)]
-pub(crate) struct Journal {
+pub struct Journal {
     path: PathBuf,
     file: File,
     entries: u64,
@@ -25,7 +25,7 @@ pub(crate) struct Journal {
 
 impl Journal {
     /// Starts an empty journal.
-    pub(crate) fn create(path: &Path) -> Result<Journal, DatasetError> {
+    pub fn create(path: &Path) -> Result<Journal, DatasetError> {
         let file = File::create(path).map_err(DatasetError::io(path, "create"))?;
         Ok(Journal {
             path: path.to_path_buf(),
@@ -35,7 +35,7 @@ impl Journal {
     }
 
     /// Reads all whole entries in turn, and drops what follows them. `None` if there is no file.
-    pub(crate) fn open(
+    pub fn open(
         path: &Path,
         mut each: impl FnMut(u64, &[u8]) -> Result<(), DatasetError>,
     ) -> Result<Option<Journal>, DatasetError> {
@@ -66,12 +66,12 @@ impl Journal {
     }
 
     /// Whether there is any.
-    pub(crate) const fn has_entries(&self) -> bool {
+    pub const fn has_entries(&self) -> bool {
         self.entries > 0
     }
 
     /// Appends an entry, and makes it durable.
-    pub(crate) fn append(&mut self, content: &[u8]) -> Result<(), DatasetError> {
+    pub fn append(&mut self, content: &[u8]) -> Result<(), DatasetError> {
         let mut entry = Vec::with_capacity(content.len() + HEAD as usize);
         entry.extend((content.len() as u32).to_le_bytes());
         entry.extend(checksum(self.entries, content).to_le_bytes());

@@ -44,14 +44,16 @@ pub enum DatasetError {
 }
 
 impl DatasetError {
-    pub(crate) fn damaged(path: &Path, why: impl Into<String>) -> Self {
+    /// A file that is not what was published, and why.
+    pub fn damaged(path: &Path, why: impl Into<String>) -> Self {
         DatasetError::Damaged {
             path: path.to_path_buf(),
             why: why.into(),
         }
     }
 
-    pub(crate) fn io(path: &Path, action: &'static str) -> impl FnOnce(io::Error) -> Self {
+    /// What the system refused, from its reason.
+    pub fn io(path: &Path, action: &'static str) -> impl FnOnce(io::Error) -> Self {
         let path = path.to_path_buf();
         move |source| DatasetError::Io {
             path,
