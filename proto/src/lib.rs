@@ -1,5 +1,6 @@
 //! What server and client of Escarp agree on: the geometry of the grid, pages and their error
-//! bounds, the view and its tests, the manifest, and the messages of the protocol.
+//! bounds, the view and its tests, which pages it takes, the manifest, and the messages of the
+//! protocol.
 //!
 //! Nothing here does I/O or knows the time. In reading order:
 
@@ -16,5 +17,9 @@ pub mod georef;
 pub mod manifest;
 
 pub mod view;
+
+pub mod sight;
+
+pub mod select;
 
 pub mod wire;

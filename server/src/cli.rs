@@ -3,12 +3,13 @@
 use crate::catalog::{Catalog, CatalogError, percent_encoded};
 use crate::limits::Limits;
 use crate::serve;
+use crate::watch::{WatchError, Watcher};
 use anyhow::{Context, Result, anyhow};
-use clap::Parser;
-use escarp_tiles::dataset::{Dataset, DatasetError};
+use clap::{Parser, ValueEnum};
+use escarp_tiles::dataset::{DatasetError, Io};
 use std::io::{IsTerminal, Write};
 use std::net::SocketAddr;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
 use tokio::net::TcpListener;
@@ -22,13 +23,22 @@ const USAGE: u8 = 2;
 /// Host terrain datasets: pages over HTTP, and views streamed over WebSocket.
 ///
 /// A dataset is a folder NAME.escarp made by escarp-tiles; it is read only. When ready, the server
-/// prints one URL a dataset to standard output, to give to escarp-client.
+/// prints one URL a dataset to standard output, to give to escarp-client. A new generation of a
+/// dataset is taken live when it is published.
 #[derive(Debug, Parser)]
 #[command(name = "escarp-server", version, after_help = EXAMPLES)]
 pub struct Cli {
-    /// Folders of datasets; the name of each, without .escarp, becomes its address
-    #[arg(required = true, value_name = "NAME.escarp")]
+    /// Folders of datasets; the name of each, without .escarp, becomes its address. A folder with
+    /// such in it stands for all of them, as --watch
+    #[arg(required_unless_present = "watch", value_name = "NAME.escarp")]
     datasets: Vec<PathBuf>,
+    /// Host all datasets NAME.escarp in this folder, those to come as well; may be given again
+    #[arg(long, value_name = "DIR")]
+    watch: Vec<PathBuf>,
+    /// How datasets are read: pread is safe from files that are cut short or written over while
+    /// the server runs; mmap shares the system's memory, and dies with such a file
+    #[arg(long, value_name = "HOW", default_value = "pread")]
+    io: IoChoice,
     /// Address to listen on; port 0 takes a free one. Only this machine can connect by default
     #[arg(long, value_name = "HOST:PORT", default_value = "127.0.0.1:8787")]
     listen: String,
@@ -37,10 +47,18 @@ pub struct Cli {
     max_sessions: usize,
 }
 
+/// [`Io`] on the command line.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum IoChoice {
+    Pread,
+    Mmap,
+}
+
 const EXAMPLES: &str = "\
 Examples:
   escarp-server moon.escarp                             then: escarp-client view http://127.0.0.1:8787/moon
   escarp-server moon.escarp alps.escarp --listen 0.0.0.0:8787    for other machines too
+  escarp-server --watch /srv/terrain                    all datasets in a folder, also later ones
   curl http://127.0.0.1:8787/datasets                   what is hosted, as JSON
 
 SIGTERM or Ctrl-C tells all clients, waits for them at most 5 seconds, and ends.
@@ -72,7 +90,8 @@ pub fn run(cli: &Cli) -> ExitCode {
 }
 
 fn host(cli: &Cli) -> Result<()> {
-    let catalog = Arc::new(open_all(&cli.datasets)?);
+    let catalog = Arc::new(Catalog::default());
+    let watcher = open_all(catalog.clone(), cli)?;
     let limits = Limits {
         sessions: cli.max_sessions,
         ..Limits::default()
@@ -92,6 +111,7 @@ fn host(cli: &Cli) -> Result<()> {
         // Before anyone can know that the server is there, it can be told to go.
         let signal = signal()?;
         announce(&catalog, listener.local_addr()?)?;
+        tokio::spawn(watcher.run());
         serve(listener, catalog, limits, signal)
             .await
             .context("serving")
@@ -99,21 +119,17 @@ fn host(cli: &Cli) -> Result<()> {
 }
 
 /// Opens all datasets under their names.
-fn open_all(folders: &[PathBuf]) -> Result<Catalog> {
-    let mut catalog = Catalog::default();
-    for folder in folders {
-        let dataset = open(folder)?;
-        let name = dataset.name().to_owned();
-        catalog.add(&name, Arc::new(dataset))?;
-    }
-    Ok(catalog)
-}
-
-fn open(folder: &Path) -> Result<Dataset> {
-    Dataset::open(folder).map_err(|error| match error {
-        DatasetError::Damaged { .. } => {
+fn open_all(catalog: Arc<Catalog>, cli: &Cli) -> Result<Watcher> {
+    let io = match cli.io {
+        IoChoice::Pread => Io::Pread,
+        IoChoice::Mmap => Io::Mmap,
+    };
+    let started = Watcher::start(catalog, &cli.datasets, &cli.watch, io);
+    started.map_err(|error| match error {
+        WatchError::Dataset(error @ DatasetError::Damaged { .. }) => {
             anyhow!("{error}; restore the file, or build the dataset again")
         }
+        WatchError::Catalog(error) => error.into(),
         // The other kinds say themselves what to do.
         _ => error.into(),
     })
@@ -128,7 +144,7 @@ fn announce(catalog: &Catalog, address: SocketAddr) -> Result<()> {
         _ => address.to_string(),
     };
     for name in catalog.names() {
-        writeln!(out, "http://{host}/{}", percent_encoded(name)).context("standard output")?;
+        writeln!(out, "http://{host}/{}", percent_encoded(&name)).context("standard output")?;
     }
     out.flush().context("standard output")
 }

@@ -6,6 +6,8 @@
 
 pub mod limits;
 
+pub mod metrics;
+
 pub mod source;
 
 pub mod catalog;
@@ -15,6 +17,8 @@ pub mod session;
 pub mod native;
 
 pub mod dataset;
+
+pub mod watch;
 
 mod http;
 
@@ -29,7 +33,7 @@ pub mod cli;
 #[cfg(test)]
 mod tests;
 
-pub use catalog::{Catalog, CatalogError};
+pub use catalog::{Catalog, CatalogError, Hosted};
 pub use limits::Limits;
 pub use serve::serve;
 pub use session::Session;

@@ -5,9 +5,9 @@ use escarp_client::net::Url;
 use escarp_client::remote::RemoteTerrain;
 use escarp_proto::geometry::PageId;
 use escarp_proto::manifest::Manifest;
+use escarp_server::source::{GenerationId, Pack, Revised};
 use escarp_server::{Catalog, Limits, PageSource, SourceError, serve};
 use escarp_tiles::dataset::Dataset;
-use std::borrow::Cow;
 use std::net::SocketAddr;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -49,7 +49,7 @@ impl Host {
     /// # Panics
     /// If it does not start.
     pub fn start_on(port: u16, sources: &[(&str, Arc<dyn PageSource>)]) -> Host {
-        let mut catalog = Catalog::default();
+        let catalog = Catalog::default();
         for (name, source) in sources {
             catalog.add(name, source.clone()).expect("a name");
         }
@@ -158,9 +158,18 @@ impl PageSource for Watched {
         self.dataset.manifest_json()
     }
 
-    fn record(&self, page: PageId) -> Result<Option<(u32, Cow<'_, [u8]>)>, SourceError> {
+    fn generation_id(&self) -> GenerationId {
+        self.dataset.generation_id()
+    }
+
+    fn record(&self, page: PageId) -> Result<Option<Revised>, SourceError> {
         self.asked.lock().unwrap().push(page);
         std::thread::sleep(self.delay);
         PageSource::record(&self.dataset, page)
+    }
+
+    fn pack(&self, parent: PageId) -> Result<Option<Pack>, SourceError> {
+        std::thread::sleep(self.delay);
+        self.dataset.pack(parent)
     }
 }

@@ -10,6 +10,8 @@ pub mod files;
 
 pub mod feed;
 
+pub mod selected;
+
 pub mod measure;
 
 pub mod displayed;

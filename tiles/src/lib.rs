@@ -22,7 +22,7 @@ pub mod export;
 
 pub mod verify;
 
-mod checksum;
+pub mod checksum;
 
 pub mod process;
 

@@ -8,13 +8,13 @@
 //! data is due always.
 
 use super::due::{Due, Odometer, PageDue, slack};
-use super::frustum::Frustum;
 use super::mesher::{Found, MeshOptions, Mesher};
 use super::sight::{Lines, Seen, Sides, Sight};
 use super::squares::{At, FIRST_FINEST, PLACES, ROOT};
 use super::surface::{Index, Surface};
 use super::vertices::{Asker, VertexRef};
 use escarp_proto::geometry::{Edge, PageId, Quadrant};
+use escarp_proto::sight::frustum::Frustum;
 use escarp_proto::view::View;
 
 /// The state of the mesher.

@@ -386,8 +386,16 @@ impl Page {
         match &self.slots {
             Some(slots) => slots[slot.index()],
             None if self.finest && self.parts >= PAGE_LEVELS => self.finest_cell(slot),
-            None if self.has_holes() => ChildSlot::Mixed(self.range),
-            None => ChildSlot::Full(self.rest[self.depth() as usize - 1]),
+            None => self.slot_until(self.depth()),
+        }
+    }
+
+    /// What stands for each cell while no more than parts `1..=part` have arrived; known once
+    /// these have.
+    pub(crate) fn slot_until(&self, part: u8) -> ChildSlot {
+        match self.has_holes() {
+            true => ChildSlot::Mixed(self.range),
+            false => ChildSlot::Full(self.rest[part as usize - 1]),
         }
     }
 

@@ -1,11 +1,9 @@
 //! A dataset in a few lines of JSON.
 
-use crate::catalog::percent_encoded;
+use crate::catalog::{Hosted, percent_encoded};
 use crate::native::{NativeCorners, native_corners};
-use crate::source::PageSource;
 use escarp_proto::manifest::Manifest;
 use serde::Serialize;
-use std::sync::Arc;
 
 /// The answer of `/datasets`.
 #[derive(Debug, Serialize)]
@@ -36,7 +34,8 @@ pub(super) struct Dataset {
 }
 
 impl Dataset {
-    pub(super) fn of(name: &str, source: &Arc<dyn PageSource>, host: &str) -> Dataset {
+    pub(super) fn of(hosted: &Hosted, host: &str) -> Dataset {
+        let (name, source) = (hosted.name(), hosted.source());
         let manifest = source.manifest();
         Dataset {
             name: name.into(),

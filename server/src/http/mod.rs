@@ -4,7 +4,7 @@ mod describe;
 mod page;
 mod problem;
 
-use crate::catalog::Catalog;
+use crate::catalog::{Catalog, Hosted};
 use crate::socket::{self, Sessions};
 use axum::Router;
 use axum::extract::{Path, Request, State};
@@ -20,6 +20,17 @@ use std::sync::Arc;
 pub(crate) struct App {
     pub catalog: Arc<Catalog>,
     pub sessions: Sessions,
+}
+
+impl App {
+    /// The dataset of a name.
+    ///
+    /// # Errors
+    /// Status 404 if there is none.
+    pub(crate) fn hosted(&self, name: &str) -> Result<Arc<Hosted>, Problem> {
+        let found = self.catalog.get(name);
+        found.ok_or_else(|| Problem::no_dataset(self, name))
+    }
 }
 
 /// All addresses.
@@ -46,10 +57,10 @@ async fn welcome(State(app): State<App>, headers: HeaderMap) -> String {
          Stream in a program:  ws://{host}/session (proto/PROTOCOL.md in Escarp's source)\n\n\
          Datasets:\n"
     );
-    for (name, _) in app.catalog.iter() {
+    for name in app.catalog.names() {
         text += &format!(
             "  http://{host}/{}\n",
-            crate::catalog::percent_encoded(name)
+            crate::catalog::percent_encoded(&name)
         );
     }
     text
@@ -57,9 +68,9 @@ async fn welcome(State(app): State<App>, headers: HeaderMap) -> String {
 
 async fn datasets(State(app): State<App>, headers: HeaderMap) -> Json<Datasets> {
     let host = host(&headers);
-    let describe = |(name, source): (&str, &Arc<_>)| Dataset::of(name, source, host);
+    let describe = |hosted: &Arc<Hosted>| Dataset::of(hosted, host);
     Json(Datasets {
-        datasets: app.catalog.iter().map(describe).collect(),
+        datasets: app.catalog.all().iter().map(describe).collect(),
     })
 }
 
@@ -68,21 +79,15 @@ async fn dataset(
     Path(name): Path<String>,
     headers: HeaderMap,
 ) -> Result<Json<Dataset>, Problem> {
-    let source = app
-        .catalog
-        .get(&name)
-        .ok_or_else(|| Problem::no_dataset(&app, &name))?;
-    Ok(Json(Dataset::of(&name, source, host(&headers))))
+    let hosted = app.hosted(&name)?;
+    Ok(Json(Dataset::of(&hosted, host(&headers))))
 }
 
 async fn manifest(
     State(app): State<App>,
     Path(name): Path<String>,
 ) -> Result<impl IntoResponse, Problem> {
-    let source = app
-        .catalog
-        .get(&name)
-        .ok_or_else(|| Problem::no_dataset(&app, &name))?;
+    let source = app.hosted(&name)?.source();
     let headers = [
         (header::CONTENT_TYPE, "application/json"),
         (header::CACHE_CONTROL, "no-cache"),

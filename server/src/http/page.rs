@@ -2,6 +2,7 @@
 
 use super::{App, Problem};
 use crate::source::PageSource;
+use axum::body::Bytes;
 use axum::extract::{Path, State};
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
@@ -16,10 +17,7 @@ pub(super) async fn page(
     Path((name, level, x, y)): Path<Address>,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
-    let source = app
-        .catalog
-        .get(&name)
-        .ok_or_else(|| Problem::no_dataset(&app, &name))?;
+    let source = app.hosted(&name)?.source();
     let levels = source.manifest().grid_levels;
     let page = parse(&level, &x, &y)
         .filter(|&page| levels.holds(page))
@@ -58,13 +56,13 @@ fn no_page(address: &str, levels: GridLevels) -> Problem {
     }
 }
 
-async fn read(source: Arc<dyn PageSource>, page: PageId) -> Result<(u32, Vec<u8>), Problem> {
+async fn read(source: Arc<dyn PageSource>, page: PageId) -> Result<(u32, Bytes), Problem> {
     let read = move || {
         let found = source.record(page)?;
-        Ok(found.map(|(revision, record)| (revision, record.into_owned())))
+        Ok(found.map(|record| (record.revision, record.bytes)))
     };
     let internal = |text: String| {
-        tracing::warn!(%page, text, "record not sent");
+        tracing::debug!(%page, text, "record not sent");
         Problem::plain(
             StatusCode::INTERNAL_SERVER_ERROR,
             format!("page {page}: {text}"),

@@ -37,7 +37,7 @@ impl Problem {
             status: StatusCode::NOT_FOUND,
             error: format!("there is no {path} here"),
             allowed: ADDRESSES.map(Into::into).into(),
-            datasets: app.catalog.names().map(Into::into).collect(),
+            datasets: app.catalog.names(),
         }
     }
 

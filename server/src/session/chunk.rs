@@ -1,7 +1,7 @@
 //! From a wish to the bytes that answer it.
 
 use super::queue::Wish;
-use crate::source::PageSource;
+use crate::source::{PageSource, Revised};
 use escarp_proto::page::{RecordHeader, last_part as last_part_of};
 use escarp_proto::wire::{Chunk, MissReason};
 
@@ -22,13 +22,16 @@ pub(super) fn chunk_of(source: &dyn PageSource, wish: Wish) -> Result<Chunk, Mis
         page, first_part, ..
     } = wish;
     let damaged = |why: String| {
-        tracing::warn!(%page, why, "record not sent");
+        tracing::debug!(%page, why, "record not sent");
         MissReason::Damaged
     };
     let record = source
         .record(page)
         .map_err(|error| damaged(error.to_string()))?;
-    let (revision, record) = record.ok_or(MissReason::NotFound)?;
+    let Revised {
+        revision,
+        bytes: record,
+    } = record.ok_or(MissReason::NotFound)?;
     let finest = source.manifest().grid_levels.is_finest(page);
     let last_part = wish.last_part.min(last_part_of(finest));
     if first_part > last_part {

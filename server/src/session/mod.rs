@@ -130,9 +130,10 @@ impl Session {
             );
             return Err(PeerError::new(ErrorCode::Version, text));
         }
-        let Some((name, source)) = self.catalog.meant(&hello.dataset) else {
+        let Some(hosted) = self.catalog.meant(&hello.dataset) else {
             return Err(PeerError::new(ErrorCode::NoDataset, self.names()));
         };
+        let (name, source) = (hosted.name(), hosted.source());
         let codec = source.manifest().codec;
         if hello.codecs.checked_shr(codec.into()).unwrap_or(0) & 1 == 0 {
             let text = format!(
@@ -141,7 +142,7 @@ impl Session {
             );
             return Err(PeerError::new(ErrorCode::Version, text));
         }
-        Ok(source.clone())
+        Ok(source)
     }
 
     /// The names of the datasets, one a line, as many as fit an error's text.
@@ -153,7 +154,7 @@ impl Session {
                 break;
             }
             text.push_str(line);
-            text.push_str(name);
+            text.push_str(&name);
         }
         text
     }

@@ -1,12 +1,12 @@
 //! A dataset made up on the spot, with every kind of page in it.
 
-use crate::source::{PageSource, SourceError};
+use crate::source::{GenerationId, Pack, PageSource, Revised, SourceError};
+use bytes::Bytes;
 use escarp_proto::err8::Err8;
 use escarp_proto::geometry::{GridLevels, PAGE_SLOTS, PageId};
 use escarp_proto::georef::{Georef, Plane};
 use escarp_proto::manifest::{FORMAT, FileCheck, Manifest, Segment, VERSION};
 use escarp_proto::page::{ChildSlot, Codec, PAGE_AREA, Page, Record, revision};
-use std::borrow::Cow;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
 
@@ -32,7 +32,14 @@ pub(crate) struct FakeSource {
 
 impl FakeSource {
     pub(crate) fn new() -> FakeSource {
-        let manifest = manifest();
+        FakeSource::of_generation(3)
+    }
+
+    pub(crate) fn of_generation(generation: u64) -> FakeSource {
+        let manifest = Manifest {
+            generation,
+            ..manifest()
+        };
         FakeSource {
             json: manifest.to_json(),
             manifest,
@@ -73,16 +80,31 @@ impl PageSource for FakeSource {
         &self.json
     }
 
-    fn record(&self, page: PageId) -> Result<Option<(u32, Cow<'_, [u8]>)>, SourceError> {
+    fn generation_id(&self) -> GenerationId {
+        GenerationId::of(&self.manifest, &self.json)
+    }
+
+    fn record(&self, page: PageId) -> Result<Option<Revised>, SourceError> {
+        let given = |revision, bytes| Ok(Some(Revised { revision, bytes }));
         match FakeSource::kind(page) {
             Kind::NotStored => Ok(None),
-            Kind::Damaged => Err(SourceError::Damaged("a fake flaw".into())),
-            Kind::Rubbish => Ok(Some((7, Cow::Borrowed(&[0xff; 40])))),
+            Kind::Damaged => Err(SourceError::Damaged {
+                file: "seg-3-0".into(),
+                why: "a fake flaw".into(),
+            }),
+            Kind::Rubbish => given(7, Bytes::from_static(&[0xff; 40])),
             Kind::Stored => {
                 let record = self.stored(page);
-                Ok(Some((revision(page, &record), Cow::Owned(record))))
+                given(revision(page, &record), record.into())
             }
         }
+    }
+
+    /// Not as on disk, but as long as a family may be.
+    fn pack(&self, parent: PageId) -> Result<Option<Pack>, SourceError> {
+        let bytes = Bytes::from(parent.key().to_le_bytes().repeat(2500));
+        let checksum = parent.square().x;
+        Ok((parent.level() < LEVELS - 4).then_some(Pack { checksum, bytes }))
     }
 }
 

@@ -32,7 +32,7 @@ struct Server {
 impl Server {
     async fn start(limits: Limits) -> Server {
         let source = Arc::new(FakeSource::new());
-        let mut catalog = Catalog::default();
+        let catalog = Catalog::default();
         catalog.add("fake", source.clone()).unwrap();
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.local_addr().unwrap();

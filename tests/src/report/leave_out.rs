@@ -118,7 +118,10 @@ fn full_triangles(dataset: &Dataset) -> u64 {
 }
 
 /// Bytes of the parts without which the mesh could not be what it is.
-fn used_bytes(dataset: &Dataset, tree: &MeshTree) -> Result<u64> {
+///
+/// # Errors
+/// If the dataset is damaged.
+pub fn used_bytes(dataset: &Dataset, tree: &MeshTree) -> Result<u64> {
     let mut parts: HashMap<PageId, u8> = HashMap::new();
     for flags in tree.flags().into_iter().filter(|flags| flags.enabled) {
         let part = part_of(flags.sample as usize);

@@ -154,7 +154,7 @@ struct Pair {
 
 impl Pair {
     fn new(source: Arc<dyn PageSource>, line: Line, opened: Duration) -> Result<Pair> {
-        let mut catalog = Catalog::default();
+        let catalog = Catalog::default();
         catalog.add("terrain", source)?;
         Ok(Pair {
             line,

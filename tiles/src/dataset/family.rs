@@ -8,7 +8,11 @@ use escarp_proto::page::{MAX_RECORD_BYTES, revision};
 use std::path::Path;
 
 mod table;
+pub(super) use table::Entry as Place;
 use table::Table;
+
+/// No table is longer, with its family's id, bytes.
+pub(super) const MAX_TABLE_BYTES: usize = 8 + table::MAX_BYTES;
 
 /// Names the children of a page, or the root page alone.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -59,23 +63,31 @@ pub struct StoredRecord<'a> {
     pub bytes: &'a [u8],
 }
 
-/// A family, the checksum of its table verified.
+/// The table of a family, its checksum verified; the records may be elsewhere.
 #[derive(Debug, Clone, Copy)]
-pub struct FamilyTable<'a> {
+pub(super) struct Head<'a> {
     family: FamilyId,
     table: Table<'a>,
-    records: &'a [u8],
     path: &'a Path,
+    table_bytes: usize,
     /// Of the first record, in the segment.
     offset: u64,
 }
 
-impl<'a> FamilyTable<'a> {
+/// A family, the checksum of its table verified.
+#[derive(Debug, Clone, Copy)]
+pub struct FamilyTable<'a> {
+    head: Head<'a>,
+    records: &'a [u8],
+}
+
+impl<'a> Head<'a> {
+    /// Reads a family's table from its first bytes, [`MAX_TABLE_BYTES`] or all of them.
     pub(super) fn read(
         entry: &IndexEntry,
         bytes: &'a [u8],
         path: &'a Path,
-    ) -> Result<FamilyTable<'a>, DatasetError> {
+    ) -> Result<Head<'a>, DatasetError> {
         let (family, offset) = (entry.family, entry.offset);
         let damaged = |why: String| DatasetError::damaged(path, format!("at byte {offset}: {why}"));
         let cut = || damaged("family table cut short".into());
@@ -88,26 +100,80 @@ impl<'a> FamilyTable<'a> {
             )));
         }
         let table = Table::read(&mut reader).ok_or_else(cut)?;
-        let (table_bytes, records) = bytes.split_at(reader.position());
-        let (found, stored) = (crc32c(table_bytes), entry.table_crc32c);
+        let table_bytes = reader.position();
+        let (found, stored) = (crc32c(&bytes[..table_bytes]), entry.table_crc32c);
         if found != stored {
             return Err(damaged(format!(
                 "table checksum {found:08x}, the index says {stored:08x}"
             )));
         }
-        table.check(records.len()).map_err(damaged)?;
-        Ok(FamilyTable {
+        // The table is no longer than the family: all its bytes are there.
+        let records = (entry.bytes as usize).saturating_sub(table_bytes);
+        table.check(records).map_err(damaged)?;
+        Ok(Head {
             family,
             table,
-            records,
             path,
-            offset: offset + table_bytes.len() as u64,
+            table_bytes,
+            offset: offset + table_bytes as u64,
         })
+    }
+
+    /// Where the record of a page of this family lies, behind the table.
+    pub(super) fn place(&self, page: PageId) -> Result<Option<Place>, DatasetError> {
+        let slot = page.parent().map_or(0, |(_, slot)| slot.index() as u8);
+        let place = self.table.find(slot);
+        place.map(|place| self.sane(place)).transpose()
+    }
+
+    /// Where a record lies in the segment.
+    pub(super) fn offset_of(&self, place: &Place) -> u64 {
+        self.offset + place.start as u64
+    }
+
+    /// Holds a record against its revision.
+    pub(super) fn check(
+        &self,
+        page: PageId,
+        place: &Place,
+        bytes: &[u8],
+    ) -> Result<(), DatasetError> {
+        let (stored, found) = (place.revision, revision(page, bytes));
+        if found != stored {
+            let why = format!("page {page} has checksum {found:08x}, stored is {stored:08x}");
+            return Err(self.damaged(place, &why));
+        }
+        Ok(())
+    }
+
+    fn sane(&self, place: Place) -> Result<Place, DatasetError> {
+        if place.bytes > MAX_RECORD_BYTES {
+            let why = format!("{} bytes, allowed are {MAX_RECORD_BYTES}", place.bytes);
+            return Err(self.damaged(&place, &why));
+        }
+        Ok(place)
+    }
+
+    fn damaged(&self, place: &Place, why: &str) -> DatasetError {
+        let at = self.offset_of(place);
+        DatasetError::damaged(self.path, format!("record at byte {at}: {why}"))
+    }
+}
+
+impl<'a> FamilyTable<'a> {
+    pub(super) fn read(
+        entry: &IndexEntry,
+        bytes: &'a [u8],
+        path: &'a Path,
+    ) -> Result<FamilyTable<'a>, DatasetError> {
+        let head = Head::read(entry, bytes, path)?;
+        let records = &bytes[head.table_bytes..];
+        Ok(FamilyTable { head, records })
     }
 
     /// Number of records.
     pub fn len(&self) -> usize {
-        self.table.len()
+        self.head.table.len()
     }
 
     /// Never: a family without records is not stored.
@@ -117,38 +183,27 @@ impl<'a> FamilyTable<'a> {
 
     /// All records, each checked.
     pub fn records(&self) -> impl Iterator<Item = Result<StoredRecord<'a>, DatasetError>> + '_ {
-        self.table.entries().map(|entry| self.record_of(entry))
+        self.head.table.entries().map(|place| self.record_of(place))
     }
 
     /// The record of a page of this family, checked.
     pub(super) fn record(&self, page: PageId) -> Result<Option<StoredRecord<'a>>, DatasetError> {
-        let slot = page.parent().map_or(0, |(_, slot)| slot.index() as u8);
-        let entry = self.table.find(slot);
-        entry.map(|entry| self.record_of(entry)).transpose()
+        let place = self.head.place(page)?;
+        place.map(|place| self.record_of(place)).transpose()
     }
 
-    fn record_of(&self, entry: table::Entry) -> Result<StoredRecord<'a>, DatasetError> {
-        let damaged = |why: String| {
-            let at = self.offset + entry.start as u64;
-            DatasetError::damaged(self.path, format!("record at byte {at}: {why}"))
-        };
-        let page = self.family.page(Slot::from_index(entry.slot));
-        let page = page.ok_or_else(|| damaged(format!("slot {}", entry.slot)))?;
-        if entry.bytes > MAX_RECORD_BYTES {
-            return Err(damaged(format!(
-                "{} bytes, allowed are {MAX_RECORD_BYTES}",
-                entry.bytes
-            )));
-        }
-        let bytes = &self.records[entry.start..entry.start + entry.bytes];
-        let (stored, found) = (entry.revision, revision(page, bytes));
-        if found != stored {
-            let why = format!("page {page} has checksum {found:08x}, stored is {stored:08x}");
-            return Err(damaged(why));
-        }
+    fn record_of(&self, place: Place) -> Result<StoredRecord<'a>, DatasetError> {
+        let place = self.head.sane(place)?;
+        let page = self.head.family.page(Slot::from_index(place.slot));
+        let page = page.ok_or_else(|| {
+            let why = format!("slot {}", place.slot);
+            self.head.damaged(&place, &why)
+        })?;
+        let bytes = &self.records[place.start..place.start + place.bytes];
+        self.head.check(page, &place, bytes)?;
         Ok(StoredRecord {
             page,
-            revision: stored,
+            revision: place.revision,
             bytes,
         })
     }

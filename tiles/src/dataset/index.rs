@@ -1,13 +1,13 @@
-//! The index: where each family lies. Sorted, mapped, searched by halving.
+//! The index: where each family lies. Sorted, in memory (28 bytes a family), searched by halving.
 
-use super::map::Mapped;
+use super::map::open_file;
 use super::{DatasetError, FamilyId};
 use crate::checksum::crc32c;
 use escarp_proto::bytes::Reader;
 use escarp_proto::geometry::Slot;
 use escarp_proto::manifest::{FileCheck, Manifest};
 use std::fs::File;
-use std::io::Write;
+use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 
 const MAGIC: &[u8; 8] = b"ESCARPIX";
@@ -32,7 +32,7 @@ pub struct IndexEntry {
 /// The index of a generation, checked.
 #[derive(Debug)]
 pub(super) struct Index {
-    map: Mapped,
+    bytes: Vec<u8>,
 }
 
 fn index_path(folder: &Path, generation: u64) -> PathBuf {
@@ -42,20 +42,25 @@ fn index_path(folder: &Path, generation: u64) -> PathBuf {
 impl Index {
     pub(super) fn open(folder: &Path, manifest: &Manifest) -> Result<Index, DatasetError> {
         let path = index_path(folder, manifest.generation);
-        let map = Mapped::open(&path, manifest.index.bytes)?;
-        let found = crc32c(map.bytes());
+        let length = manifest.index.bytes;
+        let file = open_file(&path, length)?;
+        let mut bytes = Vec::new();
+        // Not a byte more, should the file grow meanwhile; a shorter one has another checksum.
+        let read = file.take(length).read_to_end(&mut bytes);
+        read.map_err(DatasetError::io(&path, "read"))?;
+        let found = crc32c(&bytes);
         let stored = manifest.index.crc32c;
         if found != stored {
             let why = format!("checksum {found:08x}, the manifest says {stored:08x}");
             return Err(DatasetError::damaged(&path, why));
         }
-        let index = Index { map };
+        let index = Index { bytes };
         index.check(&path, manifest)?;
         Ok(index)
     }
 
     fn check(&self, path: &Path, manifest: &Manifest) -> Result<(), DatasetError> {
-        let bytes = self.map.bytes();
+        let bytes = &self.bytes[..];
         let mut head = Reader::new(bytes);
         let magic = head.take(8) == Some(MAGIC);
         let generation = head.u64() == Some(manifest.generation);
@@ -89,13 +94,11 @@ impl Index {
     }
 
     pub(super) fn entries(&self) -> impl Iterator<Item = IndexEntry> + '_ {
-        self.map.bytes()[HEAD..]
-            .chunks_exact(ENTRY)
-            .filter_map(parse)
+        self.bytes[HEAD..].chunks_exact(ENTRY).filter_map(parse)
     }
 
     pub(super) fn find(&self, family: FamilyId) -> Option<IndexEntry> {
-        let entries = &self.map.bytes()[HEAD..];
+        let entries = &self.bytes[HEAD..];
         let (mut low, mut high) = (0, entries.len() / ENTRY);
         while low < high {
             let middle = (low + high) / 2;

@@ -16,6 +16,7 @@ mod index;
 mod journal;
 mod map;
 mod read;
+mod serve;
 mod write;
 
 pub use current::{Current, current_path};
@@ -27,8 +28,10 @@ pub use filled::{FilledRun, FilledRuns};
 pub use index::IndexEntry;
 pub(crate) use journal::{Journal, MAX_ENTRY_BYTES};
 pub use read::PageReader;
+pub use serve::{Io, ReadError, Stored, Wait};
 pub use write::{DatasetWriter, FamilyBytes, MAX_SEGMENT_BYTES};
 
+use crate::checksum::crc32c;
 use escarp_proto::geometry::{GridLevels, PageId};
 use escarp_proto::manifest::Manifest;
 use index::Index;
@@ -36,15 +39,17 @@ use map::Mapped;
 use std::path::{Path, PathBuf};
 
 /// A dataset of one generation. Files of that generation are immutable: while it is open, nothing
-/// may shorten them (`map` says why).
+/// may shorten them (`map` says why, and `serve` what can be done where that is not certain).
 #[derive(Debug)]
 pub struct Dataset {
     folder: PathBuf,
     name: String,
     manifest: Manifest,
     manifest_json: Vec<u8>,
+    manifest_crc32c: u32,
     index: Index,
     segments: Vec<Mapped>,
+    io: Io,
 }
 
 impl Dataset {
@@ -102,9 +107,11 @@ impl Dataset {
             folder: folder.to_path_buf(),
             name: name_of(folder),
             manifest,
+            manifest_crc32c: crc32c(&manifest_json),
             manifest_json,
             index,
             segments,
+            io: Io::default(),
         })
     }
 
@@ -126,6 +133,11 @@ impl Dataset {
     /// The manifest's bytes as published.
     pub fn manifest_json(&self) -> &[u8] {
         &self.manifest_json
+    }
+
+    /// CRC-32C of the manifest's bytes, as `CURRENT` has it.
+    pub fn manifest_crc32c(&self) -> u32 {
+        self.manifest_crc32c
     }
 
     /// Depth of the grid.

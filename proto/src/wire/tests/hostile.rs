@@ -65,8 +65,15 @@ fn a_forged_count_is_refused_by_the_limit_before_memory_is_taken() {
             "{before:?}"
         );
     }
-    // Manifest, list of chunks, a chunk's bytes, error text.
-    let lists: [&[u8]; 4] = [&[0, 1], &[1], &[1, 1, 0, 0, 0, 0], &[6, 0]];
+    // Manifests, list of chunks, a chunk's bytes, error text, stale pages.
+    let lists: [&[u8]; 6] = [
+        &[0, 1, 0],
+        &[3, 0],
+        &[1],
+        &[1, 1, 0, 0, 0, 0],
+        &[6, 0],
+        &[7],
+    ];
     for before in lists {
         assert!(
             is_limit(ServerMessage::decode(&forged(before))),

@@ -93,7 +93,7 @@ fn hello_must_have_a_version_a_codec_and_a_dataset_in_common() {
 
 #[test]
 fn a_wrong_name_is_answered_by_the_right_ones_one_a_line() {
-    let mut catalog = Catalog::default();
+    let catalog = Catalog::default();
     for name in ["moon", "alps"] {
         catalog.add(name, SOURCE.clone()).unwrap();
     }
@@ -111,7 +111,7 @@ fn a_wrong_name_is_answered_by_the_right_ones_one_a_line() {
 
 #[test]
 fn names_that_do_not_fit_an_error_are_left_out_whole() {
-    let mut catalog = Catalog::default();
+    let catalog = Catalog::default();
     for number in 100..200 {
         catalog
             .add(&format!("{number}{}", "n".repeat(97)), SOURCE.clone())

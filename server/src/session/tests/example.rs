@@ -1,10 +1,9 @@
 //! The session that the specification shows, held against what the server does.
 
 use super::*;
-use crate::source::SourceError;
+use crate::source::{GenerationId, Pack, Revised, SourceError};
 use escarp_proto::manifest::Manifest;
 use escarp_proto::page::{Codec, PAGE_AREA, Page, Record, revision};
-use std::borrow::Cow;
 
 const SPECIFICATION: &str = include_str!("../../../../proto/PROTOCOL.md");
 
@@ -71,9 +70,20 @@ impl PageSource for Ramp {
         &self.json
     }
 
-    fn record(&self, page: PageId) -> Result<Option<(u32, Cow<'_, [u8]>)>, SourceError> {
+    fn generation_id(&self) -> GenerationId {
+        GenerationId::of(&self.manifest, &self.json)
+    }
+
+    fn record(&self, page: PageId) -> Result<Option<Revised>, SourceError> {
         let record = self.record.bytes();
-        Ok((page == PageId::ROOT).then(|| (revision(page, record), Cow::Borrowed(record))))
+        Ok((page == PageId::ROOT).then(|| Revised {
+            revision: revision(page, record),
+            bytes: record.to_vec().into(),
+        }))
+    }
+
+    fn pack(&self, _: PageId) -> Result<Option<Pack>, SourceError> {
+        Ok(None)
     }
 }
 
@@ -87,7 +97,7 @@ fn example_peer(messages: &[(Side, Vec<u8>)]) -> Peer {
             },
             _ => None,
         });
-    let mut catalog = Catalog::default();
+    let catalog = Catalog::default();
     catalog
         .add("ramp", Arc::new(Ramp::new(manifest.unwrap())))
         .unwrap();

@@ -65,7 +65,7 @@ pub(super) fn view() -> View {
 impl Peer {
     /// Before Hello.
     pub fn new(limits: Limits) -> Peer {
-        let mut catalog = Catalog::default();
+        let catalog = Catalog::default();
         catalog.add("fake", SOURCE.clone()).unwrap();
         Peer::of(catalog, limits)
     }

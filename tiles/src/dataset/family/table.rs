@@ -15,12 +15,12 @@ pub(super) struct Table<'a> {
 
 /// What a table says of a record.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Entry {
-    pub(super) slot: u8,
+pub(in super::super) struct Entry {
+    pub(in super::super) slot: u8,
     /// Of its first byte, after the table.
-    pub(super) start: usize,
-    pub(super) bytes: usize,
-    pub(super) revision: u32,
+    pub(in super::super) start: usize,
+    pub(in super::super) bytes: usize,
+    pub(in super::super) revision: u32,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -36,6 +36,11 @@ enum Slots<'a> {
 const MAP: usize = PAGE_SLOTS / 8;
 /// Bits of a length above the shortest.
 const MOST_BITS: u32 = 16;
+
+/// No table is longer: number, slots, lengths, revisions. A listed slot takes a byte of each of
+/// fewer records than [`MAP`] has bytes.
+pub(super) const MAX_BYTES: usize =
+    1 + MAP + 3 + PAGE_SLOTS * MOST_BITS as usize / 8 + 4 * PAGE_SLOTS;
 
 impl<'a> Slots<'a> {
     fn read(count: usize, reader: &mut Reader<'a>) -> Option<Slots<'a>> {

@@ -3,19 +3,22 @@
 //! A vertex is a sample of the page's 17 x 17, row-major from the south-west. It is the centre of
 //! one square, or the middle of an edge between two. The page's corners belong to coarser pages.
 
-use escarp_proto::geometry::{Edge, PAGE_CELLS, PAGE_LEVELS, PAGE_SAMPLES, Quadrant, Slot};
+use crate::geometry::{Edge, PAGE_CELLS, PAGE_LEVELS, PAGE_SAMPLES, Quadrant, Slot};
 
 /// A square of a page: its level in the page, column and row.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub(super) struct PageSquare {
-    pub(super) level: u8,
-    pub(super) column: u8,
-    pub(super) row: u8,
+pub struct PageSquare {
+    /// Its level in the page, 0 is the page's root.
+    pub level: u8,
+    /// Column of squares of that level, from the west.
+    pub column: u8,
+    /// Row of squares of that level, from the south.
+    pub row: u8,
 }
 
 /// What a vertex is in its page.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Role {
+pub enum Role {
     /// The centre of a square.
     Centre(PageSquare),
     /// The middle of an edge: the squares of the page beside it, and which of their edges it is.
@@ -26,14 +29,15 @@ pub(super) enum Role {
 }
 
 impl PageSquare {
-    pub(super) const ROOT: PageSquare = PageSquare {
+    /// All of the page.
+    pub const ROOT: PageSquare = PageSquare {
         level: 0,
         column: 0,
         row: 0,
     };
 
     /// A cell of the page, below which another page can hang.
-    pub(super) fn cell(slot: Slot) -> PageSquare {
+    pub fn cell(slot: Slot) -> PageSquare {
         let (column, row) = slot.position();
         PageSquare {
             level: PAGE_LEVELS,
@@ -43,23 +47,25 @@ impl PageSquare {
     }
 
     /// Samples on its side, one end not counted.
-    pub(super) const fn side(self) -> usize {
+    pub const fn side(self) -> usize {
         PAGE_CELLS >> self.level
     }
 
     /// Sample at `(0, 1 or 2, 0, 1 or 2)` halves of the side from the south-west corner.
-    pub(super) const fn sample(self, x: usize, y: usize) -> usize {
+    pub const fn sample(self, x: usize, y: usize) -> usize {
         let half = self.side() / 2;
         let column = self.column as usize * self.side() + x * half;
         let row = self.row as usize * self.side() + y * half;
         row * PAGE_SAMPLES + column
     }
 
-    pub(super) const fn centre(self) -> usize {
+    /// Sample of its centre.
+    pub const fn centre(self) -> usize {
         self.sample(1, 1)
     }
 
-    pub(super) const fn edge(self, edge: Edge) -> usize {
+    /// Sample of the vertex in the middle of an edge.
+    pub const fn edge(self, edge: Edge) -> usize {
         match edge {
             Edge::East => self.sample(2, 1),
             Edge::North => self.sample(1, 2),
@@ -69,7 +75,7 @@ impl PageSquare {
     }
 
     /// The ends of an edge, counter-clockwise around the centre.
-    pub(super) const fn ends(self, edge: Edge) -> [usize; 2] {
+    pub const fn ends(self, edge: Edge) -> [usize; 2] {
         let (sw, se) = (self.sample(0, 0), self.sample(2, 0));
         let (nw, ne) = (self.sample(0, 2), self.sample(2, 2));
         match edge {
@@ -81,7 +87,7 @@ impl PageSquare {
     }
 
     /// The quadrants at the [`ends`](Self::ends) of an edge.
-    pub(super) const fn end_quadrants(edge: Edge) -> [Quadrant; 2] {
+    pub const fn end_quadrants(edge: Edge) -> [Quadrant; 2] {
         match edge {
             Edge::East => [Quadrant::SouthEast, Quadrant::NorthEast],
             Edge::North => [Quadrant::NorthEast, Quadrant::NorthWest],
@@ -91,7 +97,7 @@ impl PageSquare {
     }
 
     /// A child square; at level 4 it is a cell of the page.
-    pub(super) const fn child(self, quadrant: Quadrant) -> PageSquare {
+    pub const fn child(self, quadrant: Quadrant) -> PageSquare {
         let (x, y) = quadrant.offset();
         PageSquare {
             level: self.level + 1,
@@ -101,7 +107,7 @@ impl PageSquare {
     }
 
     /// The square above in the page, and the quadrant of it that this one is.
-    pub(super) const fn parent(self) -> Option<(PageSquare, Quadrant)> {
+    pub const fn parent(self) -> Option<(PageSquare, Quadrant)> {
         if self.level == 0 {
             return None;
         }
@@ -115,7 +121,7 @@ impl PageSquare {
 }
 
 /// Part of a record that holds a vertex.
-pub(super) const fn part_of(sample: usize) -> u8 {
+pub const fn part_of(sample: usize) -> u8 {
     PAGE_LEVELS - fineness(sample)
 }
 
@@ -126,7 +132,7 @@ const fn fineness(sample: usize) -> u8 {
 }
 
 /// The page's edge on which a vertex that is no corner lies.
-pub(super) const fn border(sample: usize) -> Option<Edge> {
+pub const fn border(sample: usize) -> Option<Edge> {
     let (x, y) = (sample % PAGE_SAMPLES, sample / PAGE_SAMPLES);
     match (x, y) {
         (PAGE_CELLS, _) => Some(Edge::East),
@@ -138,7 +144,7 @@ pub(super) const fn border(sample: usize) -> Option<Edge> {
 }
 
 /// The same vertex in the page across an edge.
-pub(super) const fn across(sample: usize, edge: Edge) -> usize {
+pub const fn across(sample: usize, edge: Edge) -> usize {
     match edge {
         Edge::East => sample - PAGE_CELLS,
         Edge::West => sample + PAGE_CELLS,
@@ -148,7 +154,7 @@ pub(super) const fn across(sample: usize, edge: Edge) -> usize {
 }
 
 /// What a vertex is.
-pub(super) fn role(sample: usize) -> Role {
+pub fn role(sample: usize) -> Role {
     let (x, y) = (sample % PAGE_SAMPLES, sample / PAGE_SAMPLES);
     let fineness = fineness(sample);
     if fineness >= PAGE_LEVELS {

@@ -1,7 +1,7 @@
 //! What a view can see.
 
-use escarp_proto::georef::WorldBox;
-use escarp_proto::view::View;
+use crate::georef::WorldBox;
+use crate::view::View;
 
 /// Directions whose level share is less look straight down or up.
 const LEAST_LEVEL: f64 = 1e-6;
@@ -52,6 +52,7 @@ impl Frustum {
     }
 
     /// Whether any of a box may be seen. Never says no to a box that can be.
+    #[inline]
     pub fn may_see(&self, region: &WorldBox) -> bool {
         self.sides.iter().all(|normal| {
             let farthest = |i: usize| {
@@ -72,7 +73,7 @@ impl Frustum {
 /// Right, up and forward of a picture that is level, unit vectors at right angles. Looking
 /// straight up or down, north is up, or down, in the picture. Meshes and pictures have them from
 /// here, so that what is drawn is never what the mesh takes for unseen.
-pub(crate) fn basis(direction: [f32; 3]) -> [[f64; 3]; 3] {
+pub fn basis(direction: [f32; 3]) -> [[f64; 3]; 3] {
     let forward = unit(direction.map(f64::from));
     let forward = match forward.iter().all(|c| c.is_finite()) {
         true => forward,

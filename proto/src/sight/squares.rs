@@ -5,34 +5,34 @@
 //! has 85; those of level 3 have 256 cells for quadrants, below which child pages can hang.
 //!
 //! Errors and ranges are rounded outwards, by functions that grow. So what is nested before
-//! (`escarp_proto::page`) is nested after.
+//! (`crate::page`) is nested after.
 
 use super::place::PageSquare;
-use escarp_proto::geometry::{Edge, GridLevels, PAGE_LEVELS, PAGE_SLOTS, PageId, Quadrant, Slot};
-use escarp_proto::georef::Georef;
-use escarp_proto::page::{Bounds, BoxError, PAGE_AREA, Range};
-use escarp_proto::view::error_m;
+use crate::geometry::{Edge, GridLevels, PAGE_LEVELS, PAGE_SLOTS, PageId, Quadrant, Slot};
+use crate::georef::Georef;
+use crate::page::{Bounds, BoxError, PAGE_AREA, Range};
+use crate::view::error_m;
 
 /// Squares of a page, its cells apart.
-pub(super) const PAGE_SQUARES: usize = 85;
+pub const PAGE_SQUARES: usize = 85;
 /// The first square of level 3, whose quadrants are cells.
-pub(super) const FIRST_FINEST: usize = 21;
+pub const FIRST_FINEST: usize = 21;
 
 /// A place among a page's squares.
-pub(super) type At = usize;
+pub type At = usize;
 /// The whole page.
-pub(super) const ROOT: At = 0;
+pub const ROOT: At = 0;
 
 /// An error in metres, rounded up to 8 bits of fraction: a 32-bit float without its sign and its
 /// last 15 bits.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
-pub(super) struct ErrorCode(u16);
+pub struct ErrorCode(u16);
 
 impl ErrorCode {
     const CUT_BITS: u32 = 15;
 
     /// The smallest code of at least this error, which is finite and not negative.
-    pub(super) fn covering(error_m: f64) -> ErrorCode {
+    pub fn covering(error_m: f64) -> ErrorCode {
         let near = error_m as f32;
         let above = match f64::from(near) < error_m {
             true => near.next_up(),
@@ -42,7 +42,21 @@ impl ErrorCode {
         ErrorCode((rounded >> Self::CUT_BITS) as u16)
     }
 
-    pub(super) fn metres(self) -> f64 {
+    /// The code, as a number that grows with the error.
+    #[inline]
+    pub(crate) const fn code(self) -> u16 {
+        self.0
+    }
+
+    /// The error of a code.
+    #[inline]
+    pub(crate) const fn from_code(code: u16) -> ErrorCode {
+        ErrorCode(code)
+    }
+
+    /// The error, metres.
+    #[inline]
+    pub fn metres(self) -> f64 {
         f64::from(f32::from_bits(u32::from(self.0) << Self::CUT_BITS))
     }
 }
@@ -57,7 +71,7 @@ struct RangeCode {
 /// The steps of a page's ranges: powers of two, and counted from zero height, so that the steps
 /// of a page are steps of the pages below as well.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct Steps {
+pub(crate) struct Steps {
     shift: u8,
     /// The lowest height of the page.
     base: i32,
@@ -90,7 +104,9 @@ impl Steps {
         }
     }
 
-    fn height(self, code: u8) -> i64 {
+    /// The height of a code, quanta.
+    #[inline]
+    pub(crate) fn height(self, code: u8) -> i64 {
         (i64::from(self.base) + i64::from(code)) << self.shift
     }
 }
@@ -104,7 +120,7 @@ struct Cell {
 
 /// What the squares of a page are tested by.
 #[derive(Debug)]
-pub(super) struct Squares {
+pub struct Squares {
     steps: Steps,
     edges: [[ErrorCode; 4]; PAGE_SQUARES],
     /// Of the two halves of a square.
@@ -116,7 +132,7 @@ pub(super) struct Squares {
 
 impl Squares {
     /// From all that is known of a page, whatever of it has arrived.
-    pub(super) fn of(bounds: &Bounds, page: PageId, grid: GridLevels, georef: &Georef) -> Squares {
+    pub fn of(bounds: &Bounds, page: PageId, grid: GridLevels, georef: &Georef) -> Squares {
         let mut squares = Squares {
             steps: Steps::over(bounds.box_error(0, 0, 0).range),
             edges: [[ErrorCode::default(); 4]; PAGE_SQUARES],
@@ -164,22 +180,26 @@ impl Squares {
     }
 
     /// Bounds of a square's edge triangles, by [`Edge`].
-    pub(super) fn edges(&self, at: At) -> &[ErrorCode; 4] {
+    #[inline]
+    pub fn edges(&self, at: At) -> &[ErrorCode; 4] {
         &self.edges[at]
     }
 
     /// Bound of a square's two halves.
-    pub(super) fn halves(&self, at: At) -> ErrorCode {
+    #[inline]
+    pub fn halves(&self, at: At) -> ErrorCode {
         self.halves[at]
     }
 
     /// Lowest and highest height of a square, in quanta.
-    pub(super) fn range(&self, at: At) -> [i64; 2] {
+    #[inline]
+    pub fn range(&self, at: At) -> [i64; 2] {
         self.heights(self.ranges[at])
     }
 
     /// As [`range`](Self::range), of a square or a cell.
-    pub(super) fn range_of(&self, square: PageSquare) -> [i64; 2] {
+    #[inline]
+    pub fn range_of(&self, square: PageSquare) -> [i64; 2] {
         match square.parent() {
             Some((above, quadrant)) => self.quadrant(at(above), quadrant).1,
             None => self.range(ROOT),
@@ -187,7 +207,8 @@ impl Squares {
     }
 
     /// Bound and heights of a square's quadrant.
-    pub(super) fn quadrant(&self, at: At, quadrant: Quadrant) -> (ErrorCode, [i64; 2]) {
+    #[inline]
+    pub fn quadrant(&self, at: At, quadrant: Quadrant) -> (ErrorCode, [i64; 2]) {
         if at < FIRST_FINEST {
             let below = 4 * at + 1 + quadrant as usize;
             return (self.halves[below], self.range(below));
@@ -201,33 +222,56 @@ impl Squares {
         }
     }
 
+    /// The steps of all ranges.
+    pub(crate) fn steps(&self) -> Steps {
+        self.steps
+    }
+
+    /// The range of a square, coded: its lower end, and its upper.
+    pub(crate) fn coded_range(&self, at: At) -> (u8, u8) {
+        (self.ranges[at].lo, self.ranges[at].hi)
+    }
+
+    /// Bound and coded range of a cell, a quadrant of a square of level 3.
+    pub(crate) fn coded_cell(&self, at: At, quadrant: Quadrant) -> (ErrorCode, u8, u8) {
+        let cells = self.cells.as_ref();
+        let cell = cells.map(|cells| cells[PLACES[at].slots()[quadrant as usize].index()]);
+        let cell = cell.unwrap_or_default();
+        (cell.error, cell.range.lo, cell.range.hi)
+    }
+
     /// Whether any triangle has an error.
-    pub(super) fn is_rough(&self) -> bool {
+    #[inline]
+    pub fn is_rough(&self) -> bool {
         self.halves[ROOT] > ErrorCode::default()
     }
 
     /// Whether any quadrant of its squares of level 3 has a bound: else these need no test.
-    pub(super) fn has_cells(&self) -> bool {
+    #[inline]
+    pub fn has_cells(&self) -> bool {
         self.cells.is_some()
     }
 
+    #[inline]
     fn heights(&self, code: RangeCode) -> [i64; 2] {
         [self.steps.height(code.lo), self.steps.height(code.hi)]
     }
 
     /// Memory beside its own size, bytes.
-    pub(super) fn more_bytes(&self) -> usize {
+    pub fn more_bytes(&self) -> usize {
         self.cells.as_ref().map_or(0, |cells| size_of_val(&**cells))
     }
 }
 
 /// Where a square is, worked out once for all pages.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Place {
-    pub(super) square: PageSquare,
-    /// Sample of its centre, and of its edge vertices by [`Edge`].
-    pub(super) centre: u16,
-    pub(super) edges: [u16; 4],
+pub struct Place {
+    /// The square.
+    pub square: PageSquare,
+    /// Sample of its centre.
+    pub centre: u16,
+    /// Samples of its edge vertices, by [`Edge`].
+    pub edges: [u16; 4],
 }
 
 impl Place {
@@ -265,7 +309,7 @@ impl Place {
     }
 
     /// The cells that are the quadrants of a square of level 3.
-    pub(super) fn slots(&self) -> [Slot; 4] {
+    pub fn slots(&self) -> [Slot; 4] {
         Quadrant::ALL.map(|quadrant| {
             let cell = self.square.child(quadrant);
             Slot::at(cell.column as usize, cell.row as usize)
@@ -273,7 +317,8 @@ impl Place {
     }
 }
 
-pub(super) const PLACES_OF: [Place; PAGE_SQUARES] = {
+/// [`PLACES`], for tables that are made from it.
+pub const PLACES_OF: [Place; PAGE_SQUARES] = {
     let mut places = [Place::of(0); PAGE_SQUARES];
     let mut at = 0;
     while at < PAGE_SQUARES {
@@ -283,10 +328,10 @@ pub(super) const PLACES_OF: [Place; PAGE_SQUARES] = {
     places
 };
 /// All squares of a page.
-pub(super) static PLACES: [Place; PAGE_SQUARES] = PLACES_OF;
+pub static PLACES: [Place; PAGE_SQUARES] = PLACES_OF;
 
 /// The square whose centre a sample is.
-pub(super) fn at_centre(sample: u16) -> Option<At> {
+pub fn at_centre(sample: u16) -> Option<At> {
     static CENTRES: [u8; PAGE_AREA] = {
         let mut centres = [u8::MAX; PAGE_AREA];
         let mut at = 0;
@@ -301,7 +346,7 @@ pub(super) fn at_centre(sample: u16) -> Option<At> {
 }
 
 /// Where a square of a page is.
-pub(super) const fn at(square: PageSquare) -> At {
+pub const fn at(square: PageSquare) -> At {
     let mut morton = 0;
     let mut bit = 0;
     while bit < PAGE_LEVELS {
