@@ -22,6 +22,8 @@ pub mod drive;
 
 pub mod liar;
 
+pub mod raw;
+
 pub mod programs;
 
 pub mod peers;

@@ -116,7 +116,7 @@ impl<'a> Server<'a> {
 }
 
 fn hosting(source: Arc<dyn PageSource>) -> Arc<Catalog> {
-    let mut catalog = Catalog::default();
+    let catalog = Catalog::default();
     catalog.add("ground", source).expect("the name is one");
     Arc::new(catalog)
 }
