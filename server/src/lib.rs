@@ -12,6 +12,10 @@ pub mod source;
 
 pub mod catalog;
 
+mod published;
+
+pub mod sketches;
+
 pub mod session;
 
 pub mod native;
@@ -35,6 +39,7 @@ mod tests;
 
 pub use catalog::{Catalog, CatalogError, Hosted};
 pub use limits::Limits;
+pub use published::Published;
 pub use serve::serve;
 pub use session::Session;
 pub use source::{PageSource, SourceError};

@@ -208,9 +208,10 @@ fn datasets(catalog: &Catalog) -> Registry {
         "Pages stored",
         Family::<_, Gauge>::default(),
     );
-    for (name, source) in catalog.iter() {
+    for hosted in catalog.all() {
+        let source = hosted.source();
         let manifest = source.manifest();
-        let label = [("dataset", name.to_owned())];
+        let label = [("dataset", hosted.name().to_owned())];
         let set = |family: &Family<_, Gauge>, value: u64| {
             family
                 .get_or_create(&label)

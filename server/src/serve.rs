@@ -1,14 +1,12 @@
 //! Accepts connections, and ends them when told to.
 
 use crate::catalog::Catalog;
-use crate::http::{App, router};
+use crate::http::{App, Service};
 use crate::limits::{HEADER_BYTES, Limits};
 use crate::socket::{Phase, Sessions};
 use crate::stall::StallGuard;
-use axum::Router;
 use hyper::server::conn::http1::Builder;
 use hyper_util::rt::{TokioIo, TokioTimer};
-use hyper_util::service::TowerToHyperService;
 use std::io;
 use std::sync::Arc;
 use std::time::Duration;
@@ -35,14 +33,15 @@ pub async fn serve(
     let (phase, watched) = watch::channel(Phase::Serving);
     let limits = Arc::new(limits);
     let sessions = Sessions::new(limits.clone(), watched.clone());
-    let router = router(App {
+    let service = Service::new(App {
         catalog,
         sessions: sessions.clone(),
+        door: None,
     });
     let mut connections = Connections {
         places: Arc::new(Semaphore::new(limits.connections)),
         tasks: JoinSet::new(),
-        router,
+        service,
         limits,
         phase: watched,
     };
@@ -62,7 +61,7 @@ pub async fn serve(
 struct Connections {
     places: Arc<Semaphore>,
     tasks: JoinSet<()>,
-    router: Router,
+    service: Service,
     limits: Arc<Limits>,
     phase: watch::Receiver<Phase>,
 }
@@ -93,7 +92,7 @@ impl Connections {
         stream: TcpStream,
         place: OwnedSemaphorePermit,
     ) -> impl Future<Output = ()> + use<> {
-        let router = self.router.clone();
+        let service = self.service.clone();
         let mut phase = self.phase.clone();
         let limits = self.limits.clone();
         async move {
@@ -101,7 +100,6 @@ impl Connections {
             // Frames are small, and each is wanted at once. On failure it is only slower.
             let _ = stream.set_nodelay(true);
             let stream = TokioIo::new(StallGuard::new(stream, limits.send_timeout));
-            let service = TowerToHyperService::new(router);
             let served = builder(&limits)
                 .serve_connection(stream, service)
                 .with_upgrades();

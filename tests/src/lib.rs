@@ -26,6 +26,10 @@ pub mod raw;
 
 pub mod programs;
 
+pub mod nginx;
+
+pub mod load;
+
 pub mod peers;
 pub mod report;
 

@@ -32,7 +32,7 @@ pub(crate) fn samples(text: &str) -> BTreeMap<String, f64> {
 }
 
 fn catalog(name: &str) -> Catalog {
-    let mut catalog = Catalog::default();
+    let catalog = Catalog::default();
     catalog.add(name, FakeSource::shared()).unwrap();
     catalog
 }

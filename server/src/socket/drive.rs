@@ -5,7 +5,9 @@
 //! blocking pool: a fault in mapped memory must not hold up the other sessions.
 
 use super::Phase;
+use super::early::Early;
 use super::outgoing::Outgoing;
+use crate::catalog::Stand;
 use crate::limits::Limits;
 use crate::session::{CloseReason, Session};
 use axum::body::Bytes;
@@ -24,6 +26,7 @@ const CLOSE_TEXT: usize = 123;
 pub(super) async fn drive(
     socket: WebSocket,
     session: Session,
+    early: Early,
     limits: &Limits,
     phase: watch::Receiver<Phase>,
 ) {
@@ -32,11 +35,13 @@ pub(super) async fn drive(
     let now = Instant::now();
     let mut driver = Driver {
         session: Some(session),
+        early,
         outgoing: Outgoing::new(sink),
         incoming,
         reading: true,
         limits,
         phase,
+        stand: None,
         started: now,
         heard: now,
         pinged: now,
@@ -61,12 +66,16 @@ enum End {
 struct Driver<'a> {
     /// Away only while records are read for it.
     session: Option<Session>,
+    /// Messages that came with the handshake.
+    early: Early,
     outgoing: Outgoing,
     incoming: SplitStream<WebSocket>,
     /// Whether the client's side is still open.
     reading: bool,
     limits: &'a Limits,
     phase: watch::Receiver<Phase>,
+    /// Of the dataset that is looked at, once there is one.
+    stand: Option<watch::Receiver<Stand>>,
     started: Instant,
     heard: Instant,
     pinged: Instant,
@@ -75,6 +84,7 @@ struct Driver<'a> {
 impl Driver<'_> {
     async fn run(&mut self) -> End {
         loop {
+            self.begin();
             let end = match self.fill().await {
                 Ok(()) => self.wait().await,
                 end => end,
@@ -82,6 +92,18 @@ impl Driver<'_> {
             if let Err(end) = end {
                 return end;
             }
+        }
+    }
+
+    /// Handles what came with the handshake, as far as the session takes it.
+    fn begin(&mut self) {
+        let now = self.now();
+        while self.session().is_some_and(|session| session.can_receive())
+            && let Some(message) = self.early.pop_front()
+            && let Some(session) = self.session()
+        {
+            session.handle_message(&message, now);
+            self.watch();
         }
     }
 
@@ -108,7 +130,9 @@ impl Driver<'_> {
     /// Waits for whatever happens next, and handles it.
     async fn wait(&mut self) -> Result<(), End> {
         let deadline = self.deadline();
-        let receive = self.reading && self.session().is_some_and(|session| session.can_receive());
+        let ready = self.early.is_empty();
+        let receive =
+            self.reading && ready && self.session().is_some_and(|session| session.can_receive());
         let writing = self.outgoing.since().is_some();
         tokio::select! {
             sent = self.outgoing.progress(), if writing => sent.map_err(|error| lost(&error)),
@@ -119,6 +143,7 @@ impl Driver<'_> {
                 let phase = changed.map_or(Phase::Stopped, |()| *self.phase.borrow());
                 self.handle_phase(phase)
             }
+            () = changed(&mut self.stand) => self.handle_stand(),
         }
     }
 
@@ -167,6 +192,30 @@ impl Driver<'_> {
         Ok(())
     }
 
+    /// Begins to watch the dataset that the session is about.
+    fn watch(&mut self) {
+        let hosted = self.session.as_ref().and_then(Session::hosted);
+        if let (None, Some(hosted)) = (&self.stand, hosted) {
+            let mut stand = hosted.subscribe();
+            // It may have changed since Hello.
+            stand.mark_changed();
+            self.stand = Some(stand);
+        }
+    }
+
+    /// The dataset has been published anew, or is hosted no longer.
+    fn handle_stand(&mut self) -> Result<(), End> {
+        let stand = self.stand.as_mut();
+        let stand = stand.map(|stand| stand.borrow_and_update().clone());
+        if let (Some(stand), Some(session)) = (stand, self.session()) {
+            match stand.hosted {
+                true => session.handle_publication(stand.published),
+                false => session.handle_removal(),
+            }
+        }
+        Ok(())
+    }
+
     fn handle(&mut self, message: Option<Result<Message, axum::Error>>) -> Result<(), End> {
         self.heard = Instant::now();
         let now = self.now();
@@ -174,7 +223,10 @@ impl Driver<'_> {
             return Ok(());
         };
         match message {
-            Some(Ok(Message::Binary(bytes))) => session.handle_message(&bytes, now),
+            Some(Ok(Message::Binary(bytes))) => {
+                session.handle_message(&bytes, now);
+                self.watch();
+            }
             Some(Ok(Message::Ping(_) | Message::Pong(_))) => session.handle_sign_of_life(now),
             Some(Ok(Message::Text(_))) => {
                 session.close(
@@ -224,6 +276,18 @@ async fn next_message(session: Option<Session>) -> Result<(Session, Option<Vec<u
     });
     read.await
         .map_err(|error| End::Lost(format!("reading records: {error}")))
+}
+
+/// Ready when a dataset changed; never while there is none, or none any more.
+async fn changed(stand: &mut Option<watch::Receiver<Stand>>) {
+    let changed = match stand {
+        Some(stand) => stand.changed().await.is_ok(),
+        None => false,
+    };
+    if !changed {
+        *stand = None;
+        std::future::pending().await
+    }
 }
 
 fn lost(error: &axum::Error) -> End {

@@ -1,16 +1,17 @@
 //! Sessions over WebSocket: who may open one, and how they end.
 
 mod drive;
+mod early;
 mod outgoing;
 
 use crate::http::{App, Problem};
 use crate::limits::{Limits, SOCKET_MESSAGE_BYTES};
 use crate::session::Session;
-use axum::extract::State;
 use axum::extract::ws::{WebSocketUpgrade, rejection::WebSocketUpgradeRejection};
-use axum::http::{StatusCode, header};
+use axum::extract::{RawQuery, State};
+use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
-use escarp_proto::wire::MAX_SERVER_MESSAGE;
+use escarp_proto::wire::{EARLY_HEADER, MAX_SERVER_MESSAGE};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use tokio::sync::{Semaphore, watch};
@@ -66,6 +67,7 @@ fn places(limits: &Limits) -> u32 {
 /// `/session`: opens a session, if there is a place.
 pub(crate) async fn upgrade(
     State(app): State<App>,
+    RawQuery(query): RawQuery,
     upgrade: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
 ) -> Response {
     let upgrade = match upgrade {
@@ -75,6 +77,11 @@ pub(crate) async fn upgrade(
             return Problem::plain(rejection.status(), text).into_response();
         }
     };
+    let early = match early::messages(query.as_deref()) {
+        Ok(early) => early,
+        Err(text) => return Problem::plain(StatusCode::BAD_REQUEST, text).into_response(),
+    };
+    let taken = early.len();
     let sessions = app.sessions;
     let serving = *sessions.phase.borrow() == Phase::Serving;
     let Some(place) = sessions
@@ -89,13 +96,16 @@ pub(crate) async fn upgrade(
     let id = sessions.opened.fetch_add(1, Ordering::Relaxed);
     let span = tracing::info_span!("session", id);
     let session = Session::new(app.catalog, sessions.limits.as_ref().clone());
-    bounded(upgrade).on_upgrade(move |socket| {
+    let mut response = bounded(upgrade).on_upgrade(move |socket| {
         let driven = async move {
-            drive::drive(socket, session, &sessions.limits, sessions.phase).await;
+            drive::drive(socket, session, early, &sessions.limits, sessions.phase).await;
             drop(place);
         };
         driven.instrument(span)
-    })
+    });
+    let headers = response.headers_mut();
+    headers.insert(EARLY_HEADER, HeaderValue::from(taken));
+    response
 }
 
 /// The library's own bounds are 64 MiB for a message, and none for what waits to be written.
