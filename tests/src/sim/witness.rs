@@ -27,7 +27,7 @@ impl<'a> Witness<'a> {
     pub fn new(ground: &'a Ground, limits: &Limits) -> Witness<'a> {
         Witness {
             ground,
-            remembers_all: limits.cached_pages >= Limits::default().cached_pages,
+            remembers_all: limits.held_pages >= Limits::default().held_pages,
             told: None,
             idle: None,
             held: BTreeSet::new(),
