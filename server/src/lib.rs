@@ -10,6 +10,8 @@ pub mod source;
 
 pub mod catalog;
 
+pub mod sketches;
+
 pub mod session;
 
 pub mod native;
@@ -33,4 +35,5 @@ pub use catalog::{Catalog, CatalogError};
 pub use limits::Limits;
 pub use serve::serve;
 pub use session::Session;
+pub use sketches::Sketches;
 pub use source::{PageSource, SourceError};
