@@ -282,7 +282,7 @@ async fn what_cannot_be_answered_is_refused_with_what_is_allowed() {
     let answer = server.ask("PUT", "/ramp/heights", "", "").await;
     assert_eq!(
         (answer.status, answer.header("allow")),
-        (405, Some("GET, HEAD, POST"))
+        (405, Some("GET, HEAD, POST, OPTIONS"))
     );
     server.stop().await;
 }
