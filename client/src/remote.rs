@@ -73,7 +73,10 @@ impl RemoteTerrain {
                 waker();
             }
         };
-        let config = LinkConfig::new(url.dataset().unwrap_or(""));
+        let config = LinkConfig {
+            token: url.credentials().token().map(str::to_owned),
+            ..LinkConfig::new(url.dataset().unwrap_or(""))
+        };
         let connection = Connection::with_waker(url, Box::new(wake));
         RemoteTerrain {
             waker,

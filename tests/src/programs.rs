@@ -135,6 +135,14 @@ impl ServerProcess {
     pub fn start(datasets: &[&Path]) -> ServerProcess {
         let mut command = program("escarp-server");
         command.args(datasets).args(["--listen", "127.0.0.1:0"]);
+        ServerProcess::of(command, datasets.len())
+    }
+
+    /// As [`start`](Self::start), with a command line of its own.
+    ///
+    /// # Panics
+    /// If it does not print so many addresses.
+    pub fn of(mut command: Command, datasets: usize) -> ServerProcess {
         let mut child = command
             .stdout(Stdio::piped())
             .spawn()
@@ -150,13 +158,18 @@ impl ServerProcess {
             child,
             urls: Vec::new(),
         };
-        for _ in datasets {
+        for _ in 0..datasets {
             let line = lines
                 .recv_timeout(PATIENCE)
                 .expect("the server prints an address");
             server.urls.push(line);
         }
         server
+    }
+
+    /// Sends a signal by name.
+    pub fn tell(&self, signal: &str) {
+        send(self.child.id(), signal);
     }
 
     /// Sends a signal by name, and waits for the end.
