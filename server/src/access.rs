@@ -78,6 +78,11 @@ impl Access {
         self.rules_of(dataset).any(|rule| rule.tokens.is_some())
     }
 
+    /// Whether everything is open to everyone, from every web page.
+    fn is_open(&self) -> bool {
+        self.rules.is_empty() && self.origins == Origins::default()
+    }
+
     /// The web pages that may use a dataset: those of all its rules together.
     fn origins_of(&self, dataset: &str) -> Origins {
         let named = self

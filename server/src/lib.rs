@@ -14,6 +14,10 @@ pub mod source;
 
 pub mod catalog;
 
+mod published;
+
+pub mod sketches;
+
 pub mod session;
 
 pub mod native;
@@ -44,6 +48,7 @@ mod tests;
 pub use access::Access;
 pub use catalog::{Catalog, CatalogError, Hosted};
 pub use limits::Limits;
+pub use published::Published;
 pub use serve::{Serving, serve};
 pub use session::Session;
 pub use source::{PageSource, SourceError};

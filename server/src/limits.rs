@@ -36,8 +36,12 @@ pub struct Limits {
     /// Replies (Pong, Miss) that wait to be sent. While so many wait, no message is read; one
     /// message, or one frame's lookups, may add [`MAX_LIST`].
     pub queued_replies: usize,
-    /// Pages in a session's model of its client's cache. More are not remembered.
-    pub cached_pages: usize,
+    /// Pages of a client's that a session remembers. More are not pushed.
+    pub held_pages: usize,
+    /// Pages of one selection; the next one goes on where it ended. 0: nothing is sent unasked.
+    pub pushed_pages: usize,
+    /// How far ahead a moving eye's needs are looked for, at most 2 s; 0 is not at all.
+    pub look_ahead: Duration,
     /// From connection to Hello, and from connection or last answer to the end of a request's
     /// header.
     pub hello_timeout: Duration,
@@ -65,7 +69,9 @@ impl Default for Limits {
             wanted_pages: 2048,
             views_per_second: 20,
             queued_replies: 1024,
-            cached_pages: 4096,
+            held_pages: 14_336,
+            pushed_pages: 2048,
+            look_ahead: Duration::from_secs(1),
             hello_timeout: Duration::from_secs(10),
             ping_interval: Duration::from_secs(20),
             idle_timeout: Duration::from_secs(60),

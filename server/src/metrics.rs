@@ -84,7 +84,7 @@ metrics! {
     predicted_bytes: Counter = Counter::default();
     /// Of the bytes sent: parts that the same session had been sent before, of the same revision.
     repeated_bytes: Counter = Counter::default();
-    /// Bytes of parts that were queued, and not sent because of a Cancel or a newer view.
+    /// Bytes of parts that were queued, and not sent because of a newer view: by the mean length.
     cancelled_bytes: Counter = Counter::default();
     /// How often a session had pages to send and no credit.
     credit_stalls: Counter = Counter::default();

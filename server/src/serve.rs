@@ -5,12 +5,11 @@ mod connection;
 use crate::access::{Access, Gate, Proxies};
 use crate::catalog::Catalog;
 use crate::health::{self, Health};
-use crate::http::{App, router};
+use crate::http::{App, Service};
 use crate::limits::Limits;
 use crate::metrics::{Metrics, Share};
 use crate::socket::{Phase, Sessions};
 use crate::tls::Tls;
-use axum::Router;
 use connection::Connection;
 use std::io;
 use std::sync::Arc;
@@ -121,10 +120,10 @@ impl Serving {
             health: Arc::new(Health::default()),
             counted: self.watchers.is_none(),
         };
-        let open = |router, places, tls| Connections {
+        let open = |service, places, tls| Connections {
             places: Arc::new(Semaphore::new(places)),
             tasks: JoinSet::new(),
-            router,
+            service,
             limits: limits.clone(),
             gate: gate.clone(),
             tls,
@@ -135,11 +134,11 @@ impl Serving {
         let mut watching = JoinSet::new();
         if let Some(watchers) = self.watchers {
             tracing::info!(address = %watchers.local_addr()?, "metrics");
-            let mut connections = open(health::router(app.clone()), WATCHERS, None);
+            let mut connections = open(Service::of(health::router(app.clone())), WATCHERS, None);
             watching.spawn(async move { connections.accept(&watchers).await });
         }
         watching.spawn(follow(gate.clone(), rules));
-        let mut connections = open(router(app.clone()), limits.connections, self.tls);
+        let mut connections = open(Service::new(app.clone()), limits.connections, self.tls);
         let told = async {
             shutdown.await;
             app.health.drain();
@@ -189,7 +188,7 @@ async fn follow(gate: Arc<Gate>, mut rules: watch::Receiver<Option<Access>>) {
 struct Connections {
     places: Arc<Semaphore>,
     tasks: JoinSet<()>,
-    router: Router,
+    service: Service,
     limits: Arc<Limits>,
     gate: Arc<Gate>,
     tls: Option<Arc<Tls>>,
@@ -245,7 +244,7 @@ impl Connections {
         Connection {
             stream,
             peer: peer.ip(),
-            router: self.router.clone(),
+            service: self.service.clone(),
             limits: self.limits.clone(),
             tls: self.tls.clone(),
             phase: self.phase.clone(),

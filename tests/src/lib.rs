@@ -24,6 +24,10 @@ pub mod liar;
 
 pub mod programs;
 
+pub mod nginx;
+
+pub mod load;
+
 pub mod peers;
 pub mod report;
 

@@ -138,6 +138,18 @@ impl Gate {
         caller
     }
 
+    /// Whether a request may be answered past the middleware, as that would change nothing: all
+    /// is open to everyone, from every web page, the address is within its limits, and the
+    /// request has no name.
+    pub(crate) fn lets_pass<B>(&self, request: &axum::http::Request<B>) -> bool {
+        let headers = request.headers();
+        if headers.contains_key(REQUEST_ID) || !self.access().is_open() {
+            return false;
+        }
+        let peer = request.extensions().get::<Peer>();
+        peer.is_some_and(|peer| self.request(self.proxies.client(peer.ip, headers)).is_ok())
+    }
+
     /// The request's own name, if it is one that can stand in a log; else a new one.
     fn id(&self, headers: &HeaderMap) -> HeaderValue {
         let plain = |byte: &u8| byte.is_ascii_alphanumeric() || b"-_.".contains(byte);

@@ -63,7 +63,7 @@ fn flags_go_before_the_environment_that_before_the_file_and_it_before_defaults()
     assert_eq!(config.limits.sessions, 7);
     assert_eq!(config.limits.connections, 6);
     assert_eq!(config.limits.wanted_pages, 50);
-    assert_eq!(config.limits.cached_pages, Limits::default().cached_pages);
+    assert_eq!(config.limits.held_pages, Limits::default().held_pages);
     assert_eq!(
         (config.listen.value.as_str(), &config.listen.source),
         ("[::]:1", &file(1))
@@ -76,7 +76,7 @@ fn flags_go_before_the_environment_that_before_the_file_and_it_before_defaults()
     assert_eq!(sources["limits.sessions"], Source::Flag);
     assert_eq!(sources["limits.connections"], Source::Environment);
     assert_eq!(sources["limits.wanted_pages"], file(5));
-    assert_eq!(sources["limits.cached_pages"], Source::Default);
+    assert_eq!(sources["limits.held_pages"], Source::Default);
     flags.listen = Some("h:2".into());
     assert_eq!(with(&flags, &[]).unwrap().listen.value, "h:2");
 }

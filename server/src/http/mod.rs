@@ -1,8 +1,12 @@
 //! The HTTP addresses: datasets, manifests, pages, and the way into a session.
 
+mod address;
+mod conditions;
+mod cors;
+mod data;
 mod describe;
-mod page;
 mod problem;
+mod service;
 
 use crate::access::{Caller, Gate, guard};
 use crate::catalog::{Catalog, Hosted};
@@ -10,11 +14,13 @@ use crate::health::{self, Health};
 use crate::socket::{self, Sessions};
 use axum::extract::{Extension, Path, Request, State};
 use axum::http::{HeaderMap, Method, StatusCode, header};
+use axum::middleware::map_response;
 use axum::response::{IntoResponse, Json, Response};
 use axum::routing::get;
 use axum::{Router, middleware};
 use describe::{Dataset, Datasets};
 pub(crate) use problem::Problem;
+pub(crate) use service::Service;
 use std::sync::Arc;
 
 /// What every handler needs.
@@ -48,10 +54,16 @@ pub(crate) fn router(app: App) -> Router {
         .route("/datasets", get(datasets))
         .route("/session", get(socket::upgrade))
         .route("/{name}", get(dataset))
-        .route("/{name}/manifest", get(manifest))
-        .route("/{name}/page/{level}/{x}/{y}", get(page::page))
+        .route("/{name}/current", get(data::current))
+        .route("/{name}/manifest", get(data::data))
+        .route("/{name}/page/{level}/{x}/{y}", get(data::data))
+        .route("/{name}/pack/{level}/{x}/{y}", get(data::data))
+        .route("/{name}/{generation}/manifest", get(data::data))
+        .route("/{name}/{generation}/page/{level}/{x}/{y}", get(data::data))
+        .route("/{name}/{generation}/pack/{level}/{x}/{y}", get(data::data))
         .fallback(unknown)
         .method_not_allowed_fallback(wrong_method)
+        .layer(map_response(cors::labelled))
         .with_state(app)
         .layer(middleware::from_fn_with_state(gate, guard))
 }
@@ -106,30 +118,26 @@ async fn dataset(
     Ok(Json(Dataset::of(&hosted, host(&headers))))
 }
 
-async fn manifest(
-    State(app): State<App>,
-    Path(name): Path<String>,
-) -> Result<impl IntoResponse, Problem> {
-    let source = app.hosted(&name)?.source();
-    let headers = [
-        (header::CONTENT_TYPE, "application/json"),
-        (header::CACHE_CONTROL, "no-cache"),
-    ];
-    Ok((headers, source.manifest_json().to_vec()))
-}
-
 async fn unknown(State(app): State<App>, request: Request) -> Response {
-    Problem::unknown(&app, request.uri().path()).into_response()
+    match *request.method() {
+        // A browser that may not ask could not read what is wrong.
+        Method::OPTIONS => cors::options(),
+        _ => Problem::unknown(&app, request.uri().path()).into_response(),
+    }
 }
 
 async fn wrong_method(method: Method) -> Response {
+    if method == Method::OPTIONS {
+        return cors::options();
+    }
     let problem = Problem {
-        status: StatusCode::METHOD_NOT_ALLOWED,
-        error: format!("this server does not {method}"),
-        allowed: vec!["GET".into(), "HEAD".into()],
-        datasets: Vec::new(),
+        allowed: cors::METHODS.split(", ").map(Into::into).collect(),
+        ..Problem::plain(
+            StatusCode::METHOD_NOT_ALLOWED,
+            format!("this server does not {method}"),
+        )
     };
-    ([(header::ALLOW, "GET, HEAD")], problem).into_response()
+    ([(header::ALLOW, cors::METHODS)], problem).into_response()
 }
 
 /// The server's host and port as the client addressed it.

@@ -1,16 +1,15 @@
 //! One connection, from its first byte to its last request.
 
 use crate::access::{Peer, Place};
+use crate::http::Service;
 use crate::limits::{HEADER_BYTES, Limits};
 use crate::metrics::{Metrics, Share, TlsFailure};
 use crate::socket::Phase;
 use crate::stall::StallGuard;
 use crate::tls::Tls;
-use axum::Router;
 use hyper::server::conn::http1::Builder;
-use hyper::service::{Service, service_fn};
+use hyper::service::{Service as _, service_fn};
 use hyper_util::rt::{TokioIo, TokioTimer};
-use hyper_util::service::TowerToHyperService;
 use std::io;
 use std::net::IpAddr;
 use std::sync::Arc;
@@ -32,7 +31,7 @@ const IGNORED_BYTES: u64 = 64 << 10;
 pub(super) struct Connection {
     pub stream: TcpStream,
     pub peer: IpAddr,
-    pub router: Router,
+    pub service: Service,
     pub limits: Arc<Limits>,
     pub tls: Option<Arc<Tls>>,
     pub phase: watch::Receiver<Phase>,
@@ -58,7 +57,7 @@ impl Connection {
             secure: self.tls.is_some(),
         };
         match self.tls.take() {
-            None => answer(self.stream, peer, self.router, &self.limits, self.phase).await,
+            None => answer(self.stream, peer, self.service, &self.limits, self.phase).await,
             Some(tls) => self.secure(peer, &tls).await,
         }
     }
@@ -70,7 +69,7 @@ impl Connection {
         let (failure, plain) = match shaken {
             Ok(Ok(stream)) => {
                 self.metrics.tls_handshakes.inc();
-                return answer(stream, peer, self.router, &limits, self.phase).await;
+                return answer(stream, peer, self.service, &limits, self.phase).await;
             }
             Ok(Err((failure, plain))) => (failure, plain),
             Err(_) => (TlsFailure::Timeout, None),
@@ -119,15 +118,14 @@ async fn refuse(mut stream: TcpStream) -> io::Result<()> {
 async fn answer<S: AsyncRead + AsyncWrite + Unpin + Send + 'static>(
     stream: S,
     peer: Peer,
-    router: Router,
+    service: Service,
     limits: &Limits,
     mut phase: watch::Receiver<Phase>,
 ) {
     let stream = TokioIo::new(StallGuard::new(stream, limits.send_timeout));
-    let router = TowerToHyperService::new(router);
     let service = service_fn(move |mut request: hyper::Request<hyper::body::Incoming>| {
         request.extensions_mut().insert(peer);
-        router.call(request)
+        service.call(request)
     });
     let served = builder(limits)
         .serve_connection(stream, service)

@@ -1,7 +1,9 @@
 //! Sessions over WebSocket: who may open one, and how they end.
 
 mod drive;
+mod early;
 mod outgoing;
+mod tally;
 
 use crate::access::{Caller, too_many};
 use crate::http::{App, Problem};
@@ -9,10 +11,10 @@ use crate::limits::{Limits, SOCKET_MESSAGE_BYTES};
 use crate::metrics::{Refusal, Share};
 use crate::session::Session;
 use axum::extract::ws::{WebSocketUpgrade, rejection::WebSocketUpgradeRejection};
-use axum::extract::{Extension, State};
-use axum::http::{StatusCode, header};
+use axum::extract::{Extension, RawQuery, State};
+use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
-use escarp_proto::wire::MAX_SERVER_MESSAGE;
+use escarp_proto::wire::{EARLY_HEADER, MAX_SERVER_MESSAGE};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
@@ -73,6 +75,7 @@ fn places(limits: &Limits) -> u32 {
 pub(crate) async fn upgrade(
     State(app): State<App>,
     Extension(caller): Extension<Caller>,
+    RawQuery(query): RawQuery,
     upgrade: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
 ) -> Response {
     let upgrade = match upgrade {
@@ -82,6 +85,11 @@ pub(crate) async fn upgrade(
             return Problem::plain(rejection.status(), text).into_response();
         }
     };
+    let early = match early::messages(query.as_deref()) {
+        Ok(early) => early,
+        Err(text) => return Problem::plain(StatusCode::BAD_REQUEST, text).into_response(),
+    };
+    let taken = early.len();
     let (sessions, metrics) = (app.sessions, app.gate.metrics.clone());
     if !caller.may_connect() {
         metrics.session_refused(Refusal::Origin);
@@ -111,16 +119,20 @@ pub(crate) async fn upgrade(
     let client = caller.address.map(tracing::field::display);
     let span = tracing::info_span!("session", session = id, client);
     let session = Session::new(app.catalog, sessions.limits.as_ref().clone()).for_caller(caller);
-    bounded(upgrade).on_upgrade(move |socket| {
+    let mut response = bounded(upgrade).on_upgrade(move |socket| {
         let driven = async move {
             metrics.sessions.inc();
             let open = Share::one(&metrics.sessions_open);
-            let reason = drive::drive(socket, session, &sessions.limits, sessions.phase).await;
+            let Sessions { limits, phase, .. } = sessions;
+            let reason = drive::drive(socket, session, early, &limits, phase, &metrics).await;
             metrics.session_over(reason.as_ref());
             drop((place, held, open));
         };
         driven.instrument(span)
-    })
+    });
+    let headers = response.headers_mut();
+    headers.insert(EARLY_HEADER, HeaderValue::from(taken));
+    response
 }
 
 /// The library's own bounds are 64 MiB for a message, and none for what waits to be written.
