@@ -76,6 +76,7 @@ impl RemoteTerrain {
         };
         let config = LinkConfig {
             push: options.push,
+            token: url.credentials().token().map(str::to_owned),
             ..LinkConfig::new(url.dataset().unwrap_or(""))
         };
         let connection = Connection::with_waker(url, Box::new(wake));

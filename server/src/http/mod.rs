@@ -103,7 +103,7 @@ async fn datasets(
     headers: HeaderMap,
 ) -> Json<Datasets> {
     let host = host(&headers);
-    let describe = |hosted: &Arc<Hosted>| Dataset::of(hosted, host);
+    let describe = |hosted: &Arc<Hosted>| Dataset::of(hosted, &caller, host);
     Json(Datasets {
         datasets: {
             let all = app.catalog.all();
@@ -115,11 +115,12 @@ async fn datasets(
 
 async fn dataset(
     State(app): State<App>,
+    Extension(caller): Extension<Caller>,
     Path(name): Path<String>,
     headers: HeaderMap,
 ) -> Result<Json<Dataset>, Problem> {
     let hosted = app.hosted(&name)?;
-    Ok(Json(Dataset::of(&hosted, host(&headers))))
+    Ok(Json(Dataset::of(&hosted, &caller, host(&headers))))
 }
 
 async fn unknown(State(app): State<App>, request: Request) -> Response {
