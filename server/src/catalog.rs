@@ -1,6 +1,7 @@
 //! The datasets that a server hosts, by name. They come and go, and are published anew, while it
 //! runs.
 
+use crate::published::Published;
 use crate::source::{AtOnce, GenerationId, Pack, PageSource, Revised, SourceError};
 use escarp_proto::geometry::PageId;
 use escarp_proto::manifest::Manifest;
@@ -14,7 +15,7 @@ use tokio::sync::watch;
 /// Longest name of a dataset, bytes.
 pub const MAX_NAME: usize = 128;
 /// First parts of the server's own addresses, which no dataset may take.
-pub const RESERVED: [&str; 3] = ["datasets", "healthz", "session"];
+pub const RESERVED: [&str; 5] = ["datasets", "healthz", "metrics", "readyz", "session"];
 
 /// Named datasets.
 #[derive(Default)]
@@ -112,7 +113,7 @@ pub struct Hosted {
 #[derive(Clone)]
 pub struct Stand {
     /// The current generation.
-    pub source: Arc<dyn PageSource>,
+    pub published: Arc<Published>,
     /// False when the dataset is hosted no longer.
     pub hosted: bool,
 }
@@ -122,7 +123,7 @@ impl Hosted {
         let reported = Arc::default();
         let source = Reporting::over(source, name, &reported);
         let stand = Stand {
-            source,
+            published: Arc::new(Published::new(source)),
             hosted: true,
         };
         Hosted {
@@ -139,7 +140,12 @@ impl Hosted {
 
     /// The current generation. Whoever holds it can read it for as long as it likes.
     pub fn source(&self) -> Arc<dyn PageSource> {
-        self.stand.borrow().source.clone()
+        self.published().source().clone()
+    }
+
+    /// The current generation, to select from.
+    pub fn published(&self) -> Arc<Published> {
+        self.stand.borrow().published.clone()
     }
 
     /// Takes a new generation live, and tells all who watch.
@@ -149,7 +155,8 @@ impl Hosted {
         reported.clear();
         drop(reported);
         let source = Reporting::over(source, &self.name, &self.reported);
-        self.stand.send_modify(|stand| stand.source = source);
+        let published = Arc::new(Published::new(source));
+        self.stand.send_modify(|stand| stand.published = published);
     }
 
     /// Tells of every new generation, and of the dataset's end.
@@ -318,7 +325,10 @@ mod tests {
         assert!(watched.has_changed().unwrap());
         let stand = watched.borrow_and_update().clone();
         assert_eq!(
-            (stand.source.generation_id().generation, stand.hosted),
+            (
+                stand.published.source().generation_id().generation,
+                stand.hosted
+            ),
             (4, true)
         );
         assert_eq!(read.generation_id(), old.generation_id());

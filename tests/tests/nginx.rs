@@ -3,7 +3,7 @@
 use escarp_client::app::headless::Driver;
 use escarp_client::remote::RemoteTerrain;
 use escarp_proto::geometry::PageId;
-use escarp_server::{Catalog, PageSource};
+use escarp_server::{Catalog, Limits, PageSource};
 use escarp_tests::drive::{settle, view_over};
 use escarp_tests::host::{Host, MEMORY, PATIENCE};
 use escarp_tests::nginx::Nginx;
@@ -29,7 +29,7 @@ impl Cached {
         let data = TempDataset::of(230, 190, hills);
         let catalog = Arc::new(Catalog::default());
         catalog.add("moon", Arc::new(data.open())).unwrap();
-        let host = Host::of_catalog(0, catalog.clone());
+        let host = Host::of_catalog(0, catalog.clone(), Limits::default());
         let nginx = Nginx::start(&[], |port, folder| {
             let replaced = [
                 ("127.0.0.1:8787", host.address().to_string()),
