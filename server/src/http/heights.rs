@@ -6,10 +6,11 @@ mod gate;
 mod points;
 mod query;
 
-use super::{App, Problem};
+use super::{App, Problem, overview};
 use crate::heights::{
     self, CoordinateKind, Detail, Frame, GridPlace, HeightLimits, Pages, Spread, Work,
 };
+pub(super) use answer::png;
 use answer::{About, Batch, Point, Profile, SightAnswer};
 use axum::Router;
 use axum::body::Body;
@@ -41,6 +42,8 @@ pub(crate) fn routes(limits: &HeightLimits) -> Router<App> {
         )
         .route("/{name}/sight", get(sight))
         .route("/{name}/viewshed.png", get(viewshed))
+        .route("/{name}/overview.png", get(overview::overview))
+        .layer(Extension(Arc::new(overview::Cache::default())))
         .layer(Extension(Arc::new(Gates::new(limits))))
 }
 

@@ -2,6 +2,8 @@
 
 mod describe;
 mod heights;
+mod index;
+mod overview;
 mod page;
 mod problem;
 
@@ -39,7 +41,7 @@ impl App {
 /// All addresses.
 pub(crate) fn router(app: App) -> Router {
     Router::new()
-        .route("/", get(welcome))
+        .route("/", get(index::index))
         .route("/healthz", get(async || "ok\n"))
         .route("/datasets", get(datasets))
         .route("/session", get(socket::upgrade))
@@ -50,24 +52,6 @@ pub(crate) fn router(app: App) -> Router {
         .fallback(unknown)
         .method_not_allowed_fallback(wrong_method)
         .with_state(app)
-}
-
-async fn welcome(State(app): State<App>, headers: HeaderMap) -> String {
-    let host = host(&headers);
-    let mut text = format!(
-        "This is an Escarp terrain server.\n\n\
-         Look at a dataset:    escarp-client view http://{host}/NAME\n\
-         List the datasets:    http://{host}/datasets\n\
-         Stream in a program:  ws://{host}/session (proto/PROTOCOL.md in Escarp's source)\n\n\
-         Datasets:\n"
-    );
-    for name in app.catalog.names() {
-        text += &format!(
-            "  http://{host}/{}\n",
-            crate::catalog::percent_encoded(&name)
-        );
-    }
-    text
 }
 
 async fn datasets(State(app): State<App>, headers: HeaderMap) -> Json<Datasets> {
