@@ -3,37 +3,49 @@
 mod page;
 
 use super::{App, host};
-use crate::catalog::percent_encoded;
-use axum::extract::State;
+use crate::access::Caller;
+use crate::catalog::{Hosted, percent_encoded};
+use axum::extract::{Extension, State};
 use axum::http::{HeaderMap, header};
 use axum::response::{Html, IntoResponse, Response};
+use std::sync::Arc;
 
-pub(super) async fn index(State(app): State<App>, headers: HeaderMap) -> Response {
+pub(super) async fn index(
+    State(app): State<App>,
+    Extension(caller): Extension<Caller>,
+    headers: HeaderMap,
+) -> Response {
     let host = host(&headers);
+    let mut hosted = app.catalog.all();
+    hosted.retain(|hosted| caller.sees(hosted.name()));
+    let schemes = match caller.secure {
+        true => ["https", "wss"],
+        false => ["http", "ws"],
+    };
     let vary = [
         (header::VARY, "accept"),
         (header::CACHE_CONTROL, "no-cache"),
     ];
     if prefers_html(&headers) {
         let policy = [(header::CONTENT_SECURITY_POLICY, page::policy())];
-        let page = page::page(&app.catalog.all(), host);
+        let page = page::page(&hosted, host, schemes);
         return (vary, policy, Html(page)).into_response();
     }
-    (vary, text(&app, host)).into_response()
+    (vary, text(&hosted, host, schemes)).into_response()
 }
 
-fn text(app: &App, host: &str) -> String {
+fn text(hosted: &[Arc<Hosted>], host: &str, [http, ws]: [&str; 2]) -> String {
     let mut text = format!(
         "This is an Escarp terrain server.\n\n\
-         Look at a dataset:    escarp-client view http://{host}/NAME\n\
-         List the datasets:    http://{host}/datasets\n\
-         Heights for programs: http://{host}/NAME/heights?lon=..&lat=.. and more, described in\n\
-         \x20                     http://{host}/openapi.json\n\
-         Stream in a program:  ws://{host}/session (proto/PROTOCOL.md in Escarp's source)\n\n\
+         Look at a dataset:    escarp-client view {http}://{host}/NAME\n\
+         List the datasets:    {http}://{host}/datasets\n\
+         Heights for programs: {http}://{host}/NAME/heights?lon=..&lat=.. and more, described in\n\
+         \x20                     {http}://{host}/openapi.json\n\
+         Stream in a program:  {ws}://{host}/session (proto/PROTOCOL.md in Escarp's source)\n\n\
          Datasets:\n"
     );
-    for name in app.catalog.names() {
-        text += &format!("  http://{host}/{}\n", percent_encoded(&name));
+    for hosted in hosted {
+        text += &format!("  {http}://{host}/{}\n", percent_encoded(hosted.name()));
     }
     text
 }

@@ -23,13 +23,16 @@ pub(super) fn policy() -> String {
     )
 }
 
-pub(super) fn page(all: &[Arc<Hosted>], host: &str) -> String {
+pub(super) fn page(all: &[Arc<Hosted>], host: &str, [http, ws]: [&str; 2]) -> String {
     let host = escaped(host);
     let count = match all.len() {
         1 => "1 dataset".into(),
         count => format!("{count} datasets"),
     };
-    let articles: String = all.iter().map(|hosted| article(hosted, &host)).collect();
+    let articles: String = all
+        .iter()
+        .map(|hosted| article(hosted, &format!("{http}://{host}")))
+        .collect();
     format!(
         "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\">\
          <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\
@@ -38,11 +41,11 @@ pub(super) fn page(all: &[Arc<Hosted>], host: &str) -> String {
          <main>{articles}</main>\n<footer><p>\
          <a href=\"/datasets\">Datasets as JSON</a> · \
          <a href=\"/openapi.json\">OpenAPI description of all addresses</a> · \
-         sessions at <code>ws://{host}/session</code></p></footer>\n</body></html>\n"
+         sessions at <code>{ws}://{host}/session</code></p></footer>\n</body></html>\n"
     )
 }
 
-fn article(hosted: &Hosted, host: &str) -> String {
+fn article(hosted: &Hosted, server: &str) -> String {
     let source = hosted.source();
     let manifest = source.manifest();
     let (name, address) = (escaped(hosted.name()), percent_encoded(hosted.name()));
@@ -56,7 +59,7 @@ fn article(hosted: &Hosted, host: &str) -> String {
     format!(
         "<article id=\"{address}\"><div><img src=\"/{address}/overview.png\" loading=\"lazy\" \
          alt=\"Shaded relief of {name}\"></div><div><h2>{name}</h2>\
-         <pre><code>escarp-client view http://{host}/{address}</code></pre><dl>{facts}</dl>\
+         <pre><code>escarp-client view {server}/{address}</code></pre><dl>{facts}</dl>\
          <nav><a href=\"/{address}\">JSON</a><a href=\"/{address}/manifest\">Manifest</a>\
          <a href=\"/{address}/current\">Current</a>\
          <a href=\"/{address}/{id}/manifest\">Generation {id}</a>\
@@ -204,7 +207,7 @@ mod tests {
         let catalog = Catalog::default();
         let name = "<script>alert('1')&\"";
         catalog.add(name, FakeSource::shared()).unwrap();
-        let page = page(&catalog.all(), "a\"><b");
+        let page = page(&catalog.all(), "a\"><b", ["http", "ws"]);
         assert!(!page.contains("<script") && !page.contains("<b"), "{page}");
         assert!(page.contains("&lt;script&gt;alert(&#39;1&#39;)&amp;&quot;"));
         assert!(page.contains("/%3Cscript%3Ealert%28%271%27%29%26%22/overview.png"));
