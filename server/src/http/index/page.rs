@@ -80,10 +80,11 @@ fn facts_of(manifest: &Manifest) -> Vec<(&'static str, String)> {
     let [west_south, _, east_north, _] = native.corners;
     let places = if native.unit == "degree" { 5 } else { 1 };
     let span = |axis: usize| span(west_south[axis], east_north[axis], places);
-    let mut facts = vec![(
-        "Extent",
-        format!("x {}, y {} ({})", span(0), span(1), native.unit),
-    )];
+    let extent = match native.unit.as_str() {
+        "degree" => format!("longitude {}, latitude {}", span(0), span(1)),
+        unit => format!("x {}, y {} ({unit})", span(0), span(1)),
+    };
+    let mut facts = vec![("Extent", extent)];
     if native.unit != "degree"
         && let Some(text) = degrees(manifest)
     {
