@@ -6,6 +6,9 @@ mod cors;
 mod data;
 mod describe;
 mod heights;
+mod index;
+mod openapi;
+mod overview;
 mod problem;
 mod service;
 
@@ -53,7 +56,8 @@ pub(crate) fn router(app: App) -> Router {
     let gate = app.gate.clone();
     Router::new()
         .merge(health::routes(app.counted))
-        .route("/", get(welcome))
+        .route("/", get(index::index))
+        .route("/openapi.json", get(openapi::openapi))
         .route("/datasets", get(datasets))
         .route("/session", get(socket::upgrade))
         .route("/{name}", get(dataset))
@@ -70,31 +74,6 @@ pub(crate) fn router(app: App) -> Router {
         .layer(map_response(cors::labelled))
         .with_state(app)
         .layer(middleware::from_fn_with_state(gate, guard))
-}
-
-async fn welcome(
-    State(app): State<App>,
-    Extension(caller): Extension<Caller>,
-    headers: HeaderMap,
-) -> String {
-    let host = host(&headers);
-    let mut text = format!(
-        "This is an Escarp terrain server.\n\n\
-         Look at a dataset:    escarp-client view http://{host}/NAME\n\
-         List the datasets:    http://{host}/datasets\n\
-         Stream in a program:  ws://{host}/session (proto/PROTOCOL.md in Escarp's source)\n\n\
-         Datasets:\n"
-    );
-    for name in app.catalog.names() {
-        if !caller.sees(&name) {
-            continue;
-        }
-        text += &format!(
-            "  http://{host}/{}\n",
-            crate::catalog::percent_encoded(&name)
-        );
-    }
-    text
 }
 
 async fn datasets(
