@@ -24,6 +24,8 @@ pub mod native;
 
 pub mod dataset;
 
+pub mod heights;
+
 pub mod watch;
 
 mod http;
@@ -51,4 +53,5 @@ pub use limits::Limits;
 pub use published::Published;
 pub use serve::{Serving, serve};
 pub use session::Session;
+pub use sketches::Sketches;
 pub use source::{PageSource, SourceError};

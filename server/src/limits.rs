@@ -4,6 +4,7 @@ mod table;
 
 pub use table::{ENTRIES, Entry};
 
+use crate::heights::HeightLimits;
 use escarp_proto::wire::{MAX_LIST, PAGES_FRAME};
 use std::time::Duration;
 
@@ -55,6 +56,8 @@ pub struct Limits {
     pub close_timeout: Duration,
     /// From the signal to shut down to the end of whatever is still open.
     pub drain_timeout: Duration,
+    /// What requests for heights may cost.
+    pub heights: HeightLimits,
 }
 
 impl Default for Limits {
@@ -78,6 +81,7 @@ impl Default for Limits {
             send_timeout: Duration::from_secs(30),
             close_timeout: Duration::from_secs(1),
             drain_timeout: Duration::from_secs(5),
+            heights: HeightLimits::default(),
         }
     }
 }

@@ -119,6 +119,7 @@ impl Serving {
             gate: gate.clone(),
             health: Arc::new(Health::default()),
             counted: self.watchers.is_none(),
+            limits: limits.clone(),
         };
         let open = |service, places, tls| Connections {
             places: Arc::new(Semaphore::new(places)),

@@ -3,13 +3,14 @@
 use crate::camera::overview;
 use crate::governor::{TIME_BUDGETS_MS, TRIANGLE_BUDGETS};
 use crate::mesh::{DEFAULT_MORPH, MORPH_SHARES, MeshOptions, MesherKind, Metric};
-use crate::net::Url;
+use crate::net::{Credentials, TOKEN_VARIABLE, Url};
 use crate::remote::{ClientOptions, RemoteTerrain};
 use anyhow::{Result, bail};
 use clap::Args;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use escarp_proto::manifest::Manifest;
 use escarp_proto::view::{FARTHEST_EYE_M, SCREEN_ERRORS_PX};
+use std::path::PathBuf;
 use std::str::FromStr;
 use std::time::Duration;
 
@@ -105,12 +106,23 @@ impl FromStr for FrameBudget {
 /// Where to connect to.
 #[derive(Debug, Clone, Args)]
 pub(super) struct ServerArgs {
-    /// Address of the dataset, http://HOST:PORT/NAME
+    /// Address of the dataset, http://HOST:PORT/NAME, or https:// for TLS
     #[arg(value_name = "URL")]
     url: Url,
-    /// Most memory for resident pages, MB; the GPU's copy of what is drawn comes on top
+    /// File with the token that opens the dataset; without it, ESCARP_TOKEN has the token itself
+    #[arg(long, value_name = "FILE")]
+    token: Option<PathBuf>,
+    /// Certificates (PEM) to believe in place of the system's, for a server of a private authority
+    #[arg(long, value_name = "FILE")]
+    ca: Option<PathBuf>,
+    /// Most memory for pages, MB: where more would be needed, the tolerance is widened. The GPU's
+    /// copy of what is drawn comes on top
     #[arg(long, default_value_t = 1024, value_name = "MB", value_parser = clap::value_parser!(u32).range(16..))]
     memory_mb: u32,
+    /// Most memory of the GPU for what is drawn, MB: where more would be needed, the tolerance is
+    /// widened; default: no limit
+    #[arg(long, value_name = "MB", value_parser = clap::value_parser!(u32).range(1..))]
+    gpu_mb: Option<u32>,
     /// Ask for every page, instead of letting the server send what the view needs
     #[arg(long)]
     pull_only: bool,
@@ -120,16 +132,20 @@ impl ServerArgs {
     /// Begins to connect.
     ///
     /// # Errors
-    /// If what is said of the mesh does not go together.
+    /// If what is said of the mesh does not go together, or there is no token where one should be.
     pub(super) fn open(&self, mesh: &MeshArgs, budget: FrameBudget) -> Result<RemoteTerrain> {
         let options = ClientOptions {
             memory_cap_bytes: (self.memory_mb as usize).saturating_mul(1 << 20),
+            gpu_cap_bytes: self.gpu_mb.map(|mb| u64::from(mb) << 20),
             mesh: mesh.options()?,
             push: !self.pull_only,
             max_ms: mesh.max_ms,
             frame_budget: budget.0,
         };
-        Ok(RemoteTerrain::with_options(self.url.clone(), options))
+        let variable = std::env::var(TOKEN_VARIABLE).ok();
+        let credentials = Credentials::read(self.token.as_deref(), variable, self.ca.clone())?;
+        let url = self.url.clone().with_credentials(credentials);
+        Ok(RemoteTerrain::with_options(url, options))
     }
 }
 

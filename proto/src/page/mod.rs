@@ -15,7 +15,7 @@ mod record;
 
 pub use bounds::{Bounds, BoxError, SquareErrors, square_index};
 pub use codec1::{CodedBits, SymbolCounts};
-pub use flat::{implied_heights, implied_slot};
+pub use flat::{implied_cell, implied_heights, implied_slot};
 pub use record::{Codec, Record, RecordHeader, RevisionDigest, revision};
 
 use crate::err8::Err8;
@@ -79,6 +79,14 @@ impl Range {
         Range {
             lo: self.lo.min(other.lo),
             hi: self.hi.max(other.hi),
+        }
+    }
+
+    /// What both hold.
+    pub fn intersection(self, other: Range) -> Range {
+        Range {
+            lo: self.lo.max(other.lo),
+            hi: self.hi.min(other.hi),
         }
     }
 
@@ -293,6 +301,16 @@ impl Page {
             slots: None,
             has_cuts: false,
             stream: None,
+        }
+    }
+
+    /// As it was when only these parts had arrived, of a page without holes.
+    fn with_fewer(&self, parts: u8) -> Page {
+        Page {
+            parts,
+            heights: self.heights.clone(),
+            rest: self.rest,
+            ..Page::blank(self.id, self.finest)
         }
     }
 

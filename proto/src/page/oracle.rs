@@ -157,7 +157,7 @@ fn codecs() -> impl Strategy<Value = Codec> {
     prop_oneof![Just(Codec::Plain), Just(Codec::Dense)]
 }
 
-fn whole_page() -> impl Strategy<Value = Page> {
+pub(crate) fn whole_page() -> impl Strategy<Value = Page> {
     let samples = prop_oneof![terrain(), holed()];
     (samples, prop::option::of(slots()))
         .prop_map(|(samples, slots)| Page::new(page_id(), &samples, slots).unwrap())
@@ -312,6 +312,37 @@ proptest! {
         for level in 1..=PAGE_LEVELS {
             let of_level = (0..1 << (2 * level)).map(|i| bounds.box_error(level, i % (1 << level), i >> level).error);
             prop_assert_eq!(Some(page.rest[level as usize - 1]), Err8::covering(of_level.max().unwrap()));
+        }
+    }
+
+    #[test]
+    fn bounds_never_grow_when_parts_arrive(page in whole_page(), codec in codecs()) {
+        let record = Record::encode(&page, codec);
+        let header = RecordHeader::read(page.id(), page.is_finest(), record.bytes()).unwrap();
+        let promise = Bounds::derive(&page, None).box_error(0, 0, 0);
+        // Ranges and bounds are cut off there.
+        let cut_off = promise.range.lo == -MAX_HEIGHT || promise.range.hi == MAX_HEIGHT;
+        prop_assume!(!cut_off && promise.error < MAX_SPAN);
+        let bounds = |parts: u8| {
+            let prefix = &record.bytes()[header.part_bytes(0, parts).unwrap()];
+            let page = Page::decode(page.id(), page.is_finest(), parts, prefix).unwrap();
+            Bounds::derive(&page, Some(promise))
+        };
+        for parts in 2..=page.last_part() {
+            let (fewer, more) = (bounds(parts - 1), bounds(parts));
+            for (level, column, row) in squares(more.depth()) {
+                let square = more.square(level, column, row);
+                let own = more.box_error(level, column, row);
+                let down = level.saturating_sub(fewer.depth());
+                let before = fewer.box_error(level - down, column >> down, row >> down);
+                prop_assert!(own.error <= before.error && before.range.contains(own.range), "{parts} parts, level {level}: {own:?}, before {before:?}, {promise:?}");
+                if level < fewer.depth() {
+                    let before = fewer.square(level, column, row);
+                    for edge in 0..4 {
+                        prop_assert!(square.edges[edge] <= before.edges[edge]);
+                    }
+                }
+            }
         }
     }
 

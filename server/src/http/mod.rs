@@ -5,12 +5,17 @@ mod conditions;
 mod cors;
 mod data;
 mod describe;
+mod heights;
+mod index;
+mod openapi;
+mod overview;
 mod problem;
 mod service;
 
 use crate::access::{Caller, Gate, guard};
 use crate::catalog::{Catalog, Hosted};
 use crate::health::{self, Health};
+use crate::limits::Limits;
 use crate::socket::{self, Sessions};
 use axum::extract::{Extension, Path, Request, State};
 use axum::http::{HeaderMap, Method, StatusCode, header};
@@ -32,6 +37,7 @@ pub(crate) struct App {
     pub health: Arc<Health>,
     /// Whether `/metrics` is here, and not on an address of its own.
     pub counted: bool,
+    pub limits: Arc<Limits>,
 }
 
 impl App {
@@ -50,7 +56,8 @@ pub(crate) fn router(app: App) -> Router {
     let gate = app.gate.clone();
     Router::new()
         .merge(health::routes(app.counted))
-        .route("/", get(welcome))
+        .route("/", get(index::index))
+        .route("/openapi.json", get(openapi::openapi))
         .route("/datasets", get(datasets))
         .route("/session", get(socket::upgrade))
         .route("/{name}", get(dataset))
@@ -61,36 +68,12 @@ pub(crate) fn router(app: App) -> Router {
         .route("/{name}/{generation}/manifest", get(data::data))
         .route("/{name}/{generation}/page/{level}/{x}/{y}", get(data::data))
         .route("/{name}/{generation}/pack/{level}/{x}/{y}", get(data::data))
+        .merge(heights::routes(&app.limits.heights))
         .fallback(unknown)
         .method_not_allowed_fallback(wrong_method)
         .layer(map_response(cors::labelled))
         .with_state(app)
         .layer(middleware::from_fn_with_state(gate, guard))
-}
-
-async fn welcome(
-    State(app): State<App>,
-    Extension(caller): Extension<Caller>,
-    headers: HeaderMap,
-) -> String {
-    let host = host(&headers);
-    let mut text = format!(
-        "This is an Escarp terrain server.\n\n\
-         Look at a dataset:    escarp-client view http://{host}/NAME\n\
-         List the datasets:    http://{host}/datasets\n\
-         Stream in a program:  ws://{host}/session (proto/PROTOCOL.md in Escarp's source)\n\n\
-         Datasets:\n"
-    );
-    for name in app.catalog.names() {
-        if !caller.sees(&name) {
-            continue;
-        }
-        text += &format!(
-            "  http://{host}/{}\n",
-            crate::catalog::percent_encoded(&name)
-        );
-    }
-    text
 }
 
 async fn datasets(
@@ -99,7 +82,7 @@ async fn datasets(
     headers: HeaderMap,
 ) -> Json<Datasets> {
     let host = host(&headers);
-    let describe = |hosted: &Arc<Hosted>| Dataset::of(hosted, host);
+    let describe = |hosted: &Arc<Hosted>| Dataset::of(hosted, &caller, host);
     Json(Datasets {
         datasets: {
             let all = app.catalog.all();
@@ -111,11 +94,12 @@ async fn datasets(
 
 async fn dataset(
     State(app): State<App>,
+    Extension(caller): Extension<Caller>,
     Path(name): Path<String>,
     headers: HeaderMap,
 ) -> Result<Json<Dataset>, Problem> {
     let hosted = app.hosted(&name)?;
-    Ok(Json(Dataset::of(&hosted, host(&headers))))
+    Ok(Json(Dataset::of(&hosted, &caller, host(&headers))))
 }
 
 async fn unknown(State(app): State<App>, request: Request) -> Response {
@@ -130,14 +114,19 @@ async fn wrong_method(method: Method) -> Response {
     if method == Method::OPTIONS {
         return cors::options();
     }
+    not_allowed(&method, cors::METHODS)
+}
+
+/// Status 405, with the methods that there are.
+fn not_allowed(method: &Method, allowed: &'static str) -> Response {
     let problem = Problem {
-        allowed: cors::METHODS.split(", ").map(Into::into).collect(),
+        allowed: allowed.split(", ").map(Into::into).collect(),
         ..Problem::plain(
             StatusCode::METHOD_NOT_ALLOWED,
-            format!("this server does not {method}"),
+            format!("this address does not {method}"),
         )
     };
-    ([(header::ALLOW, cors::METHODS)], problem).into_response()
+    ([(header::ALLOW, allowed)], problem).into_response()
 }
 
 /// The server's host and port as the client addressed it.

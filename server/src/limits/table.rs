@@ -62,6 +62,17 @@ macro_rules! count {
     };
 }
 
+macro_rules! height {
+    ($field:ident, $least:literal, $most:literal) => {
+        Entry {
+            name: concat!("heights_", stringify!($field)),
+            range: [$least as f64, $most as f64],
+            get: |limits| limits.heights.$field as f64,
+            set: |limits, value| limits.heights.$field = value as _,
+        }
+    };
+}
+
 macro_rules! seconds {
     ($field:ident, $least:literal, $most:literal) => {
         Entry {
@@ -94,6 +105,17 @@ pub static ENTRIES: &[Entry] = &[
     seconds!(send_timeout, 0.1, 3600),
     seconds!(close_timeout, 0.01, 60),
     seconds!(drain_timeout, 0.01, 3600),
+    height!(batch_points, 1, 1_000_000),
+    height!(profile_samples, 2, 1_000_000),
+    height!(pages, 16, 100_000_000),
+    height!(sight_steps, 1000, 100_000_000_000_u64),
+    height!(viewshed_steps, 1000, 100_000_000_000_u64),
+    height!(viewshed_side_px, 1, 16_384),
+    height!(window_samples, 1024, 1_073_741_824),
+    height!(overview_side_px, 16, 16_384),
+    height!(requests, 1, 1000),
+    height!(images, 1, 1000),
+    height!(waiting, 0, 100_000),
 ];
 
 #[cfg(test)]
@@ -106,11 +128,21 @@ mod tests {
         let fields = shown.lines().filter_map(|line| line.strip_prefix("    "));
         let fields: Vec<_> = fields
             .filter_map(|line| line.split_once(": ").map(|(name, _)| name))
-            .filter(|name| !name.starts_with(' '))
+            .filter(|name| *name != "heights")
+            .map(|name| match name.strip_prefix("    ") {
+                Some(nested) => format!("heights_{nested}"),
+                None => name.to_owned(),
+            })
             .collect();
         let names: Vec<_> = ENTRIES
             .iter()
-            .map(|entry| entry.name.strip_suffix("_s").unwrap_or(entry.name))
+            .map(|entry| {
+                entry
+                    .name
+                    .strip_suffix("_s")
+                    .unwrap_or(entry.name)
+                    .to_owned()
+            })
             .collect();
         assert_eq!(
             names, fields,

@@ -2,7 +2,9 @@
 
 pub(crate) mod fake;
 
+mod heights;
 mod http;
+mod openapi;
 mod sessions;
 
 use crate::{Catalog, Limits, PageSource, serve};
