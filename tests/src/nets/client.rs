@@ -4,7 +4,7 @@
 use super::tiles::TileClient;
 use super::watch::{Leg, Looking, Stand, Until, decoding, look};
 use crate::report::leave_out::{UsedParts, parts_of};
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, bail, ensure};
 use escarp_client::app::TerrainClient;
 use escarp_client::app::headless::Driver;
 use escarp_client::net::Url;
@@ -158,6 +158,8 @@ impl Looking for Streaming {
         if let Some(failure) = self.driver.client.failure() {
             bail!(failure);
         }
+        let (lost, why) = self.driver.client.lost_pages();
+        ensure!(lost == 0, "{lost} pages are lost: {}", why.join("; "));
         let bound = stats.bound_px.is_finite() && stats.triangles > 0;
         Ok(Stand {
             bound_px: bound.then_some(stats.bound_px),

@@ -138,8 +138,8 @@ pub async fn flying(run: Run, number: usize) -> Result<Found> {
 struct Pilot {
     line: usize,
     sequence: u32,
-    /// The pages that a View needs, and when it was said.
-    awaited: Option<(HashSet<u64>, Instant)>,
+    /// The pages that a View needs, its number, and when it was said.
+    awaited: Option<(HashSet<u64>, u32, Instant)>,
     found: Found,
 }
 
@@ -164,7 +164,7 @@ impl Pilot {
             }
         }
         let pages = line.wants.iter().map(|want| want.page).collect();
-        if self.awaited.replace((pages, now)).is_some() && run.is_measured() {
+        if self.awaited.replace((pages, self.sequence, now)).is_some() && run.is_measured() {
             self.found.unanswered += 1;
         }
         Ok(())
@@ -176,19 +176,20 @@ impl Pilot {
                 if run.is_measured() {
                     self.found.bytes += chunks.iter().map(|c| c.bytes.len() as u64).sum::<u64>();
                 }
-                let is_awaited = self.awaited.as_ref().is_some_and(|(pages, _)| {
+                let is_awaited = self.awaited.as_ref().is_some_and(|(pages, ..)| {
                     chunks.iter().any(|chunk| pages.contains(&chunk.page))
                 });
                 if is_awaited
-                    && let Some((_, since)) = self.awaited.take()
+                    && let Some((.., since)) = self.awaited.take()
                     && run.is_measured()
                 {
                     self.found.chunks.add(since.elapsed().as_secs_f64() * 1e3);
                 }
             }
             // All that the view needs is here: it came before.
-            ServerMessage::Idle { view_sequence } if *view_sequence >= self.sequence => {
-                self.awaited = None;
+            ServerMessage::Idle { view_sequence } => {
+                self.awaited
+                    .take_if(|(_, number, _)| *number <= *view_sequence);
             }
             _ => {}
         }
