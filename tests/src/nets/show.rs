@@ -166,7 +166,8 @@ fn panel(outcomes: &[Outcome], leg: usize, [rtt, rate, loss]: [f64; 3]) -> Panel
         panel
             .series
             .push(Series::new("", number, Style::Steps, points));
-        if let Some(figures) = outcome.figures(leg) {
+        let figures = outcome.figures(leg);
+        if let Some(figures) = figures.filter(|figures| figures.converged_s.is_some()) {
             panel.marks.push((figures.target_s.max(LEAST_S), number));
         }
     }

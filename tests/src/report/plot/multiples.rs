@@ -95,7 +95,9 @@ impl Multiples {
             drawing.line(vec![[x, frame.top], [x, frame.bottom]], Ink::Grid, 0.8, &[]);
             let label = tick.label.unwrap_or_default();
             let half = font.room(&label, SMALL) / 2.0;
-            if last && x - half > free_from {
+            // The next chart's first label stands close by.
+            let fits = x - half > free_from && x + half < frame.right + GAP / 2.0;
+            if last && fits {
                 let at = [x, frame.bottom + 14.0];
                 drawing.text(at, &label, SMALL, Anchor::Middle, Ink::Muted);
                 free_from = x + half + 4.0;
