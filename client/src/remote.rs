@@ -1,5 +1,6 @@
 //! A terrain behind a connection: what the programs of the client drive.
 
+mod kept;
 mod options;
 
 pub use options::ClientOptions;
@@ -39,6 +40,7 @@ pub struct RemoteTerrain {
     connection: Box<dyn Carrier>,
     terrain: Option<Terrain>,
     options: ClientOptions,
+    kept: Option<kept::Kept>,
     governor: Governor,
     waker: SharedWaker,
     now: Duration,
@@ -98,6 +100,7 @@ impl RemoteTerrain {
             link,
             connection,
             terrain: None,
+            kept: None,
             governor: options.governor(),
             options,
             waker: SharedWaker::default(),
@@ -129,7 +132,9 @@ impl RemoteTerrain {
         let link = self.link.stats();
         let under_way = link.in_flight_pages + link.waiting_events > 0;
         let terrain = self.terrain.as_ref();
-        under_way || terrain.is_none_or(|t| !t.wants().is_empty() || t.waiting() > 0)
+        under_way
+            || self.awaits_kept()
+            || terrain.is_none_or(|t| !t.wants().is_empty() || t.waiting() > 0)
     }
 
     /// Whether there is a session now.
@@ -191,6 +196,7 @@ impl RemoteTerrain {
                 }
             }
             Event::Chunk(chunk) => {
+                self.keep(&chunk);
                 if let Some(terrain) = &mut self.terrain {
                     terrain.receive(chunk);
                 }
@@ -219,6 +225,7 @@ impl RemoteTerrain {
 
     /// Another generation: no page of the old one is of use.
     fn start_anew(&mut self, manifest: Arc<Manifest>) {
+        self.keep_manifest(&manifest);
         let (cap, mesh) = (self.options.memory_cap_bytes, self.options.mesh);
         let old = self.terrain.replace(Terrain::new(manifest, cap, mesh));
         let pages = old.iter().flat_map(|old| old.tree().pages());
@@ -259,6 +266,7 @@ impl RemoteTerrain {
         self.link.evict(&step.dropped);
         self.link.discard(&step.orphans);
         for refusal in &step.refused {
+            self.keep_no_more(refusal.page);
             match refusal.again {
                 true => self.link.evict(&[refusal.page]),
                 false => self.link.reject(refusal.page),
@@ -269,8 +277,13 @@ impl RemoteTerrain {
                 self.note_reason(refusal.page, &refusal.why.to_string());
             }
         }
-        if let Some(terrain) = &self.terrain {
-            self.link.set_wants(terrain.wants(), self.now);
+        if let Some(wants) = self
+            .terrain
+            .as_ref()
+            .map(|terrain| terrain.wants().to_vec())
+        {
+            let left = self.ask_disk(&wants);
+            self.link.set_wants(&left, self.now);
         }
         self.last_step = step;
     }
@@ -308,19 +321,19 @@ impl TerrainClient for RemoteTerrain {
 
     fn poll(&mut self, now: Duration) {
         self.now = now;
-        self.connection.drive(&mut self.link, now);
+        self.drive();
         self.handle_events();
         // What the events led to is sent at once.
-        self.connection.drive(&mut self.link, now);
+        self.drive();
     }
 
     fn step(&mut self, view: &View, now: Duration) -> StepStats {
         self.now = now;
-        self.connection.drive(&mut self.link, now);
+        self.drive();
         let view = self.govern(view);
         self.update(&view);
         self.observe();
-        self.connection.drive(&mut self.link, now);
+        self.drive();
         let link = self.link.stats();
         let terrain = self.terrain.as_ref();
         let excess = terrain.map_or(f64::INFINITY, |_| self.last_step.excess);
@@ -388,6 +401,9 @@ impl TerrainClient for RemoteTerrain {
             (Some(first), 0) => format!(", {} pages asked for again ({first})", self.refusals),
             (Some(first), lost) => format!(", {lost} pages lost ({first})"),
         };
+        if self.is_offline() {
+            return format!("offline, from the disk{full}{lost}");
+        }
         match self.link.state() {
             LinkState::Waiting { retry_at } => {
                 let seconds = retry_at.saturating_sub(self.now).as_secs_f32().ceil();
