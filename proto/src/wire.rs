@@ -29,6 +29,25 @@ pub const MAX_LIST: usize = 2048;
 const _: () = assert!(MAX_LIST * size_of::<Want>() + 16 <= MAX_CLIENT_MESSAGE);
 const _: () = assert!(MAX_LIST * size_of::<Have>() + 16 <= MAX_CLIENT_MESSAGE);
 
+/// The field of the query of a session's address that carries its first messages, so that they
+/// need not wait for the handshake.
+pub const EARLY_FIELD: &str = "early";
+/// The header of the handshake's answer that says how many of them were taken.
+pub const EARLY_HEADER: &str = "escarp-early";
+/// They take no more, each with 2 bytes for its length: addresses and headers are limited.
+pub const EARLY_BYTES: usize = 6 << 10;
+
+/// First messages as one value, to be written as base64url without padding: each after its length,
+/// 2 bytes, little-endian. `None` if they are too long.
+pub fn early_value(messages: &[Vec<u8>]) -> Option<Vec<u8>> {
+    let mut value = Vec::new();
+    for message in messages {
+        value.extend(u16::try_from(message.len()).ok()?.to_le_bytes());
+        value.extend(message);
+    }
+    (value.len() <= EARLY_BYTES).then_some(value)
+}
+
 /// Optional abilities, as bits of Hello and Welcome. Of both sides' bits, those count that both set.
 pub mod capability {
     /// The server sends what a View needs unasked.

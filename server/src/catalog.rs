@@ -1,9 +1,11 @@
 //! The datasets that a server hosts, by name. They come and go, and are published anew, while it
 //! runs.
 
+use crate::published::Published;
 use crate::source::{AtOnce, GenerationId, Pack, PageSource, Revised, SourceError};
 use escarp_proto::geometry::PageId;
 use escarp_proto::manifest::Manifest;
+use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
@@ -13,7 +15,7 @@ use tokio::sync::watch;
 /// Longest name of a dataset, bytes.
 pub const MAX_NAME: usize = 128;
 /// First parts of the server's own addresses, which no dataset may take.
-pub const RESERVED: [&str; 3] = ["datasets", "healthz", "session"];
+pub const RESERVED: [&str; 5] = ["datasets", "healthz", "metrics", "readyz", "session"];
 
 /// Named datasets.
 #[derive(Default)]
@@ -111,7 +113,7 @@ pub struct Hosted {
 #[derive(Clone)]
 pub struct Stand {
     /// The current generation.
-    pub source: Arc<dyn PageSource>,
+    pub published: Arc<Published>,
     /// False when the dataset is hosted no longer.
     pub hosted: bool,
 }
@@ -121,7 +123,7 @@ impl Hosted {
         let reported = Arc::default();
         let source = Reporting::over(source, name, &reported);
         let stand = Stand {
-            source,
+            published: Arc::new(Published::new(source)),
             hosted: true,
         };
         Hosted {
@@ -138,7 +140,12 @@ impl Hosted {
 
     /// The current generation. Whoever holds it can read it for as long as it likes.
     pub fn source(&self) -> Arc<dyn PageSource> {
-        self.stand.borrow().source.clone()
+        self.published().source().clone()
+    }
+
+    /// The current generation, to select from.
+    pub fn published(&self) -> Arc<Published> {
+        self.stand.borrow().published.clone()
     }
 
     /// Takes a new generation live, and tells all who watch.
@@ -148,7 +155,8 @@ impl Hosted {
         reported.clear();
         drop(reported);
         let source = Reporting::over(source, &self.name, &self.reported);
-        self.stand.send_modify(|stand| stand.source = source);
+        let published = Arc::new(Published::new(source));
+        self.stand.send_modify(|stand| stand.published = published);
     }
 
     /// Tells of every new generation, and of the dataset's end.
@@ -247,6 +255,24 @@ pub fn percent_encoded(name: &str) -> String {
         .collect()
 }
 
+/// A part of an address as a name; `None` if it is not UTF-8.
+pub fn percent_decoded(text: &str) -> Option<Cow<'_, str>> {
+    if !text.contains('%') {
+        return Some(text.into());
+    }
+    let digit = |byte: Option<&u8>| char::from(*byte?).to_digit(16);
+    let bytes = text.as_bytes();
+    let mut decoded = Vec::with_capacity(bytes.len());
+    let mut at = 0;
+    while let Some(&byte) = bytes.get(at) {
+        let pair = digit(bytes.get(at + 1)).zip(digit(bytes.get(at + 2)));
+        let coded = pair.filter(|_| byte == b'%');
+        decoded.push(coded.map_or(byte, |(high, low)| (high * 16 + low) as u8));
+        at += if coded.is_some() { 3 } else { 1 };
+    }
+    String::from_utf8(decoded).ok().map(Cow::Owned)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -299,7 +325,10 @@ mod tests {
         assert!(watched.has_changed().unwrap());
         let stand = watched.borrow_and_update().clone();
         assert_eq!(
-            (stand.source.generation_id().generation, stand.hosted),
+            (
+                stand.published.source().generation_id().generation,
+                stand.hosted
+            ),
             (4, true)
         );
         assert_eq!(read.generation_id(), old.generation_id());
@@ -338,5 +367,11 @@ mod tests {
     #[test]
     fn odd_names_are_percent_encoded() {
         assert_eq!(percent_encoded("Grüße 1"), "Gr%C3%BC%C3%9Fe%201");
+        for name in ["Grüße 1", "moon", "50%", "%41", "%"] {
+            let there = percent_encoded(name);
+            assert_eq!(percent_decoded(&there).as_deref(), Some(name));
+        }
+        assert_eq!(percent_decoded("a%4x%").as_deref(), Some("a%4x%"));
+        assert_eq!(percent_decoded("%ff"), None);
     }
 }

@@ -8,15 +8,23 @@ pub mod limits;
 
 pub mod metrics;
 
+pub mod access;
+
 pub mod source;
 
 pub mod catalog;
+
+mod published;
+
+pub mod sketches;
 
 pub mod session;
 
 pub mod native;
 
 pub mod dataset;
+
+pub mod heights;
 
 pub mod watch;
 
@@ -26,15 +34,23 @@ mod socket;
 
 mod stall;
 
+pub mod tls;
+
+mod health;
+
 mod serve;
+
+pub mod config;
 
 pub mod cli;
 
 #[cfg(test)]
 mod tests;
 
+pub use access::Access;
 pub use catalog::{Catalog, CatalogError, Hosted};
 pub use limits::Limits;
-pub use serve::serve;
+pub use published::Published;
+pub use serve::{Serving, serve};
 pub use session::Session;
 pub use source::{PageSource, SourceError};

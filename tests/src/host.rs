@@ -49,6 +49,18 @@ impl Host {
     /// # Panics
     /// If it does not start.
     pub fn start_on(port: u16, sources: &[(&str, Arc<dyn PageSource>)]) -> Host {
+        Host::start_with(port, sources, Limits::default())
+    }
+
+    /// As [`start_on`](Self::start_on), with these limits.
+    ///
+    /// # Panics
+    /// If it does not start.
+    pub fn start_with(
+        port: u16,
+        sources: &[(&str, Arc<dyn PageSource>)],
+        limits: Limits,
+    ) -> Host {
         let catalog = Catalog::default();
         for (name, source) in sources {
             catalog.add(name, source.clone()).expect("a name");
@@ -65,7 +77,7 @@ impl Host {
         let served = runtime.spawn(serve(
             listener,
             Arc::new(catalog),
-            Limits::default(),
+            limits,
             async {
                 let _ = stopped.await;
             },

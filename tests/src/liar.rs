@@ -20,6 +20,9 @@ use tokio_tungstenite::tungstenite::Message;
 /// with half a frame.
 pub type Lie = dyn Fn(Chunk) -> Vec<Vec<u8>> + Send + Sync;
 
+/// What is said to a client's message, Hello included: whole messages, as bytes.
+pub type Speech = dyn Fn(&Dataset, ClientMessage) -> Vec<Vec<u8>> + Send + Sync;
+
 /// A server of one dataset that lies.
 pub struct Liar {
     port: u16,
@@ -32,6 +35,17 @@ impl Liar {
     /// # Panics
     /// If it does not start.
     pub fn start(dataset: Dataset, lie: Box<Lie>) -> Liar {
+        Liar::speaking(
+            dataset,
+            Box::new(move |dataset, message| answer(dataset, message, &lie)),
+        )
+    }
+
+    /// Starts one that says what it likes to whatever it hears.
+    ///
+    /// # Panics
+    /// If it does not start.
+    pub fn speaking(dataset: Dataset, speech: Box<Speech>) -> Liar {
         let runtime = Builder::new_multi_thread()
             .worker_threads(1)
             .enable_all()
@@ -41,10 +55,10 @@ impl Liar {
             .block_on(TcpListener::bind("127.0.0.1:0"))
             .expect("a port");
         let port = listener.local_addr().expect("an address").port();
-        let (dataset, lie) = (Arc::new(dataset), Arc::from(lie));
+        let (dataset, speech) = (Arc::new(dataset), Arc::<Speech>::from(speech));
         runtime.spawn(async move {
             while let Ok((stream, _)) = listener.accept().await {
-                tokio::spawn(session(stream, dataset.clone(), Arc::clone(&lie)));
+                tokio::spawn(session(stream, dataset.clone(), Arc::clone(&speech)));
             }
         });
         Liar {
@@ -80,8 +94,21 @@ impl Drop for Liar {
     }
 }
 
+/// The truth about all but chunks, which are lied about.
+fn answer(dataset: &Dataset, message: ClientMessage, lie: &Lie) -> Vec<Vec<u8>> {
+    match message {
+        ClientMessage::Hello(_) => vec![welcome(dataset, 0).encode()],
+        ClientMessage::Ping(number) => vec![ServerMessage::Pong(number).encode()],
+        ClientMessage::Want(wants) => {
+            let chunks = wants.iter().filter_map(|want| chunk(dataset, want));
+            chunks.flat_map(lie).collect()
+        }
+        _ => vec![],
+    }
+}
+
 /// One client's session. Ends without a word when the client, or the lie, does.
-async fn session(stream: TcpStream, dataset: Arc<Dataset>, lie: Arc<Lie>) {
+async fn session(stream: TcpStream, dataset: Arc<Dataset>, speech: Arc<Speech>) {
     let Ok(mut socket) = tokio_tungstenite::accept_async(stream).await else {
         return;
     };
@@ -89,16 +116,10 @@ async fn session(stream: TcpStream, dataset: Arc<Dataset>, lie: Arc<Lie>) {
         let Message::Binary(bytes) = message else {
             continue;
         };
-        let answers = match ClientMessage::decode(&bytes) {
-            Ok(ClientMessage::Hello(_)) => vec![welcome(&dataset).encode()],
-            Ok(ClientMessage::Ping(number)) => vec![ServerMessage::Pong(number).encode()],
-            Ok(ClientMessage::Want(wants)) => {
-                let chunks = wants.iter().filter_map(|want| chunk(&dataset, want));
-                chunks.flat_map(|chunk| lie(chunk)).collect()
-            }
-            _ => vec![],
+        let Ok(message) = ClientMessage::decode(&bytes) else {
+            continue;
         };
-        for answer in answers {
+        for answer in speech(&dataset, message) {
             if answer.is_empty() {
                 return half_a_frame(socket.into_inner()).await;
             }
@@ -132,10 +153,11 @@ pub fn chunk(dataset: &Dataset, want: &Want) -> Option<Chunk> {
     })
 }
 
-fn welcome(dataset: &Dataset) -> ServerMessage {
+/// A greeting with these capabilities.
+pub fn welcome(dataset: &Dataset, capabilities: u64) -> ServerMessage {
     ServerMessage::Welcome(Welcome {
         version: PROTOCOL,
-        capabilities: 0,
+        capabilities,
         manifest: dataset.manifest_json().to_vec(),
         limits: SessionLimits {
             wanted_pages: 1024,

@@ -1,6 +1,6 @@
 //! What the whole-system tests share: datasets made from functions, DEM files, a feed of pages
-//! without a network, servers honest and lying, programs, naive measurements of a mesh, and the
-//! table of stiff and extreme cases.
+//! without a network, servers honest and lying, programs, naive measurements of a mesh, the
+//! table of stiff and extreme cases, and the simulation of servers and clients.
 
 pub mod terrain;
 
@@ -22,9 +22,20 @@ pub mod drive;
 
 pub mod liar;
 
+pub mod raw;
+
 pub mod programs;
 
+pub mod nginx;
+
+pub mod load;
+
 pub mod peers;
+
+pub mod nets;
+
 pub mod report;
 
 pub mod stability;
+
+pub mod sim;

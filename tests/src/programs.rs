@@ -1,9 +1,10 @@
 //! The programs as processes.
 
 use std::io::{BufRead, BufReader};
+use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Output, Stdio};
-use std::sync::OnceLock;
+use std::sync::{Arc, Mutex, OnceLock};
 use std::sync::mpsc::{RecvTimeoutError, channel};
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
@@ -125,6 +126,7 @@ pub struct ServerProcess {
     child: Child,
     /// The addresses that it printed, one a dataset.
     pub urls: Vec<String>,
+    log: Arc<Mutex<String>>,
 }
 
 impl ServerProcess {
@@ -133,10 +135,39 @@ impl ServerProcess {
     /// # Panics
     /// If it does not print them.
     pub fn start(datasets: &[&Path]) -> ServerProcess {
-        let mut command = program("escarp-server");
-        command.args(datasets).args(["--listen", "127.0.0.1:0"]);
+        ServerProcess::start_on(0, datasets)
+    }
+
+    /// As [`start`](Self::start), on a port that another one has left.
+    ///
+    /// # Panics
+    /// If it does not print the addresses.
+    pub fn start_on(port: u16, datasets: &[&Path]) -> ServerProcess {
+        ServerProcess::spawn(program("escarp-server"), port, datasets)
+    }
+
+    /// As [`start`](Self::start), with so few open files allowed.
+    ///
+    /// # Panics
+    /// If it does not print the addresses.
+    pub fn start_with_files(files: u32, datasets: &[&Path]) -> ServerProcess {
+        let mut command = Command::new("sh");
+        let limited = format!("ulimit -n {files} && exec \"$@\"");
+        command
+            .args(["-c", &limited, "sh"])
+            .arg(folder().join("escarp-server"))
+            .env("RUST_LOG", "warn");
+        ServerProcess::spawn(command, 0, datasets)
+    }
+
+    fn spawn(mut command: Command, port: u16, datasets: &[&Path]) -> ServerProcess {
+        command
+            .args(datasets)
+            .args(["--listen", &format!("127.0.0.1:{port}")]);
         let mut child = command
+            .stdin(Stdio::null())
             .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
             .spawn()
             .expect("the server starts");
         let out = child.stdout.take().expect("its output");
@@ -146,17 +177,54 @@ impl ServerProcess {
                 let _ = sender.send(line);
             }
         });
+        let (log, err) = (Arc::<Mutex<String>>::default(), child.stderr.take());
+        let (shared, err) = (log.clone(), err.expect("its log"));
+        std::thread::spawn(move || {
+            for line in BufReader::new(err).lines().map_while(Result::ok) {
+                // Nothing panics under this lock.
+                if let Ok(mut log) = shared.lock() {
+                    log.push_str(&line);
+                    log.push('\n');
+                }
+            }
+        });
         let mut server = ServerProcess {
             child,
             urls: Vec::new(),
+            log,
         };
         for _ in datasets {
             let line = lines
                 .recv_timeout(PATIENCE)
-                .expect("the server prints an address");
+                .unwrap_or_else(|_| panic!("the server prints no address: {}", server.log()));
             server.urls.push(line);
         }
         server
+    }
+
+    /// What it logged: warnings and errors.
+    pub fn log(&self) -> String {
+        self.log.lock().map(|log| log.clone()).unwrap_or_default()
+    }
+
+    /// Its process's number.
+    pub fn id(&self) -> u32 {
+        self.child.id()
+    }
+
+    /// Whether it still runs.
+    pub fn lives(&mut self) -> bool {
+        matches!(self.child.try_wait(), Ok(None))
+    }
+
+    /// Host and port.
+    ///
+    /// # Panics
+    /// If it hosts nothing.
+    pub fn address(&self) -> SocketAddr {
+        let rest = self.urls[0].trim_start_matches("http://");
+        let address = rest.split('/').next().unwrap_or_default();
+        address.parse().expect("an address")
     }
 
     /// Sends a signal by name, and waits for the end.

@@ -6,6 +6,7 @@ use escarp_tiles::build::{BuildError, BuildOptions, Coarsened, Quantum, Toleranc
 use escarp_tiles::dataset::{Dataset, PageReader};
 use escarp_tiles::dem::{Crs, DemError, DemInfo, DemSource, Placement, Registration, SampleType};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use tempfile::TempDir;
 
 /// Height in metres of a column and row, row 0 the northern one; NaN is a hole.
@@ -86,7 +87,7 @@ pub struct TempDataset {
     pub dataset: Dataset,
     /// Heights in quanta by grid `x` and `y`; `None` is a hole.
     pub samples: Vec<Option<i32>>,
-    folder: TempDir,
+    folder: Arc<TempDir>,
 }
 
 impl TempDataset {
@@ -126,7 +127,7 @@ impl TempDataset {
         Ok(TempDataset {
             dataset,
             samples,
-            folder,
+            folder: Arc::new(folder),
         })
     }
 
@@ -161,6 +162,28 @@ impl TempDataset {
     /// If it does not open.
     pub fn open(&self) -> Dataset {
         Dataset::open(&self.path()).expect("the dataset opens")
+    }
+
+    /// A generation of the dataset, as a server opens it.
+    ///
+    /// # Panics
+    /// If it does not open.
+    pub fn open_generation(&self, generation: u64) -> Dataset {
+        Dataset::open_generation(&self.path(), generation).expect("the generation opens")
+    }
+
+    /// The newest generation, in the same folder.
+    ///
+    /// # Panics
+    /// If it does not open.
+    pub fn newest(&self) -> TempDataset {
+        let dataset = self.open();
+        let samples = read_samples(&dataset);
+        TempDataset {
+            dataset,
+            samples,
+            folder: self.folder.clone(),
+        }
     }
 
     /// Sample at grid `x`, `y`; beyond the data there are holes.

@@ -3,7 +3,9 @@
 #[path = "../fuzz/src/targets/mod.rs"]
 mod targets;
 
+use escarp_proto::wire::{ClientMessage, ServerMessage};
 use escarp_tests::programs::workspace;
+use std::collections::BTreeSet;
 use std::fs;
 
 /// Runs a target on every file of its corpus; a panic names the file.
@@ -34,6 +36,28 @@ fn pages_of_the_corpus_are_the_same_in_both_codecs_after_every_part() {
 #[test]
 fn hostile_messages_and_manifests_of_the_corpus_are_refused_or_understood() {
     replay("wire");
+}
+
+#[test]
+fn hostile_sequences_of_messages_of_the_corpus_end_or_are_answered_within_bounds() {
+    replay("session");
+}
+
+#[test]
+fn every_kind_of_message_is_among_the_seeds() {
+    let folder = workspace().join("tests/fuzz/corpus/wire");
+    let mut kinds = [BTreeSet::new(), BTreeSet::new()];
+    for file in fs::read_dir(folder).expect("the corpus") {
+        let bytes = fs::read(file.expect("an entry").path()).expect("a file");
+        if ClientMessage::decode(&bytes).is_ok() {
+            kinds[0].insert(bytes[0]);
+        }
+        if ServerMessage::decode(&bytes).is_ok() {
+            kinds[1].insert(bytes[0]);
+        }
+    }
+    assert_eq!(kinds[0], (0..9).collect());
+    assert_eq!(kinds[1], (0..8).collect());
 }
 
 #[test]

@@ -33,6 +33,7 @@ use crate::page::{SLOT_PART, last_part};
 use crate::sight::Sight;
 use crate::view::View;
 use crate::wire::Class;
+pub use crate::wire::Scope;
 use marks::Marks;
 use std::collections::HashMap;
 use std::hash::{BuildHasherDefault, Hasher};
@@ -47,16 +48,6 @@ pub trait Known {
     /// asked for a page only after all those above it. `None` if nothing is: it is damaged, or not
     /// here.
     fn sketch(&mut self, page: PageId) -> Option<Arc<Sketch>>;
-}
-
-/// How much of the surroundings is selected.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
-pub enum Scope {
-    /// All directions, as the mesh has it.
-    #[default]
-    All,
-    /// What may be seen, and what that depends on.
-    InView,
 }
 
 /// A page with a record that the mesh needs.

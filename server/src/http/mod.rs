@@ -1,18 +1,28 @@
 //! The HTTP addresses: datasets, manifests, pages, and the way into a session.
 
+mod address;
+mod conditions;
+mod cors;
+mod data;
 mod describe;
-mod page;
+mod heights;
 mod problem;
+mod service;
 
+use crate::access::{Caller, Gate, guard};
 use crate::catalog::{Catalog, Hosted};
+use crate::health::{self, Health};
+use crate::limits::Limits;
 use crate::socket::{self, Sessions};
-use axum::Router;
-use axum::extract::{Path, Request, State};
+use axum::extract::{Extension, Path, Request, State};
 use axum::http::{HeaderMap, Method, StatusCode, header};
+use axum::middleware::map_response;
 use axum::response::{IntoResponse, Json, Response};
 use axum::routing::get;
+use axum::{Router, middleware};
 use describe::{Dataset, Datasets};
 pub(crate) use problem::Problem;
+pub(crate) use service::Service;
 use std::sync::Arc;
 
 /// What every handler needs.
@@ -20,6 +30,11 @@ use std::sync::Arc;
 pub(crate) struct App {
     pub catalog: Arc<Catalog>,
     pub sessions: Sessions,
+    pub gate: Arc<Gate>,
+    pub health: Arc<Health>,
+    /// Whether `/metrics` is here, and not on an address of its own.
+    pub counted: bool,
+    pub limits: Arc<Limits>,
 }
 
 impl App {
@@ -35,20 +50,33 @@ impl App {
 
 /// All addresses.
 pub(crate) fn router(app: App) -> Router {
+    let gate = app.gate.clone();
     Router::new()
+        .merge(health::routes(app.counted))
         .route("/", get(welcome))
-        .route("/healthz", get(async || "ok\n"))
         .route("/datasets", get(datasets))
         .route("/session", get(socket::upgrade))
         .route("/{name}", get(dataset))
-        .route("/{name}/manifest", get(manifest))
-        .route("/{name}/page/{level}/{x}/{y}", get(page::page))
+        .route("/{name}/current", get(data::current))
+        .route("/{name}/manifest", get(data::data))
+        .route("/{name}/page/{level}/{x}/{y}", get(data::data))
+        .route("/{name}/pack/{level}/{x}/{y}", get(data::data))
+        .route("/{name}/{generation}/manifest", get(data::data))
+        .route("/{name}/{generation}/page/{level}/{x}/{y}", get(data::data))
+        .route("/{name}/{generation}/pack/{level}/{x}/{y}", get(data::data))
+        .merge(heights::routes(&app.limits.heights))
         .fallback(unknown)
         .method_not_allowed_fallback(wrong_method)
+        .layer(map_response(cors::labelled))
         .with_state(app)
+        .layer(middleware::from_fn_with_state(gate, guard))
 }
 
-async fn welcome(State(app): State<App>, headers: HeaderMap) -> String {
+async fn welcome(
+    State(app): State<App>,
+    Extension(caller): Extension<Caller>,
+    headers: HeaderMap,
+) -> String {
     let host = host(&headers);
     let mut text = format!(
         "This is an Escarp terrain server.\n\n\
@@ -58,6 +86,9 @@ async fn welcome(State(app): State<App>, headers: HeaderMap) -> String {
          Datasets:\n"
     );
     for name in app.catalog.names() {
+        if !caller.sees(&name) {
+            continue;
+        }
         text += &format!(
             "  http://{host}/{}\n",
             crate::catalog::percent_encoded(&name)
@@ -66,11 +97,19 @@ async fn welcome(State(app): State<App>, headers: HeaderMap) -> String {
     text
 }
 
-async fn datasets(State(app): State<App>, headers: HeaderMap) -> Json<Datasets> {
+async fn datasets(
+    State(app): State<App>,
+    Extension(caller): Extension<Caller>,
+    headers: HeaderMap,
+) -> Json<Datasets> {
     let host = host(&headers);
     let describe = |hosted: &Arc<Hosted>| Dataset::of(hosted, host);
     Json(Datasets {
-        datasets: app.catalog.all().iter().map(describe).collect(),
+        datasets: {
+            let all = app.catalog.all();
+            let seen = all.iter().filter(|hosted| caller.sees(hosted.name()));
+            seen.map(describe).collect()
+        },
     })
 }
 
@@ -83,30 +122,31 @@ async fn dataset(
     Ok(Json(Dataset::of(&hosted, host(&headers))))
 }
 
-async fn manifest(
-    State(app): State<App>,
-    Path(name): Path<String>,
-) -> Result<impl IntoResponse, Problem> {
-    let source = app.hosted(&name)?.source();
-    let headers = [
-        (header::CONTENT_TYPE, "application/json"),
-        (header::CACHE_CONTROL, "no-cache"),
-    ];
-    Ok((headers, source.manifest_json().to_vec()))
-}
-
 async fn unknown(State(app): State<App>, request: Request) -> Response {
-    Problem::unknown(&app, request.uri().path()).into_response()
+    match *request.method() {
+        // A browser that may not ask could not read what is wrong.
+        Method::OPTIONS => cors::options(),
+        _ => Problem::unknown(&app, request.uri().path()).into_response(),
+    }
 }
 
 async fn wrong_method(method: Method) -> Response {
+    if method == Method::OPTIONS {
+        return cors::options();
+    }
+    not_allowed(&method, cors::METHODS)
+}
+
+/// Status 405, with the methods that there are.
+fn not_allowed(method: &Method, allowed: &'static str) -> Response {
     let problem = Problem {
-        status: StatusCode::METHOD_NOT_ALLOWED,
-        error: format!("this server does not {method}"),
-        allowed: vec!["GET".into(), "HEAD".into()],
-        datasets: Vec::new(),
+        allowed: allowed.split(", ").map(Into::into).collect(),
+        ..Problem::plain(
+            StatusCode::METHOD_NOT_ALLOWED,
+            format!("this address does not {method}"),
+        )
     };
-    ([(header::ALLOW, "GET, HEAD")], problem).into_response()
+    ([(header::ALLOW, allowed)], problem).into_response()
 }
 
 /// The server's host and port as the client addressed it.

@@ -12,24 +12,29 @@
 //!
 //! Times are counted from the session's start, and never fall.
 
-mod cache;
+mod ahead;
 mod chunk;
+mod held;
 mod open;
+mod push;
 mod queue;
+mod stats;
 mod views;
 
 #[cfg(test)]
 mod tests;
 
-use crate::catalog::Catalog;
+use crate::access::{Caller, Denied};
+use crate::catalog::{Catalog, Hosted};
 use crate::limits::Limits;
-use crate::source::PageSource;
+use crate::published::Published;
 use escarp_proto::geometry::PageId;
 use escarp_proto::view::View;
 use escarp_proto::wire::{
     ClientMessage, ErrorCode, Hello, MAX_TEXT, PROTOCOL, PeerError, ServerMessage,
 };
-use open::Open;
+use open::{Open, knows};
+pub use stats::SessionStats;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -40,7 +45,10 @@ use std::time::Duration;
 pub struct Session {
     catalog: Arc<Catalog>,
     limits: Limits,
+    caller: Caller,
     heard: Duration,
+    hosted: Option<Arc<Hosted>>,
+    stats_at_end: Option<SessionStats>,
     state: State,
 }
 
@@ -69,9 +77,19 @@ impl Session {
         Session {
             catalog,
             limits,
+            caller: Caller::default(),
             heard: Duration::ZERO,
+            hosted: None,
+            stats_at_end: None,
             state: State::Opening,
         }
+    }
+
+    /// The same for a caller who may not see everything. Its Hello may have another token.
+    #[must_use]
+    pub fn for_caller(mut self, caller: Caller) -> Session {
+        self.caller = caller;
+        self
     }
 
     /// Handles a binary message. After the end, does nothing.
@@ -99,7 +117,7 @@ impl Session {
     /// Whether a message may be handled now: not while too many replies wait to be sent.
     pub fn can_receive(&self) -> bool {
         match &self.state {
-            State::Open(open) => open.replies() < self.limits.queued_replies,
+            State::Open(open) => open.can_receive(&self.limits),
             State::Opening | State::Closed { .. } => true,
         }
     }
@@ -109,8 +127,9 @@ impl Session {
             (State::Open(open), message) => open.handle(message, now),
             (State::Closed { .. }, _) => Ok(()),
             (State::Opening, ClientMessage::Hello(hello)) => {
-                let source = self.dataset_of(&hello)?;
-                let open = Open::new(source, &hello, &self.limits);
+                let hosted = self.dataset_of(&hello)?;
+                let open = Open::new(hosted.published(), &hello, &self.limits);
+                self.hosted = Some(hosted);
                 self.state = State::Open(Box::new(open));
                 Ok(())
             }
@@ -122,7 +141,7 @@ impl Session {
     }
 
     /// The dataset that a Hello names, if both sides can talk about it.
-    fn dataset_of(&self, hello: &Hello) -> Result<Arc<dyn PageSource>, PeerError> {
+    fn dataset_of(&mut self, hello: &Hello) -> Result<Arc<Hosted>, PeerError> {
         if !(hello.oldest..=hello.newest).contains(&PROTOCOL) {
             let text = format!(
                 "protocol versions {}..={}, this server speaks {PROTOCOL}",
@@ -130,25 +149,31 @@ impl Session {
             );
             return Err(PeerError::new(ErrorCode::Version, text));
         }
+        self.caller = self.caller.clone().with_token(hello.token.as_deref());
+        // What is denied must not depend on whether there is such a dataset.
+        self.caller.check(&hello.dataset).map_err(denied)?;
         let Some(hosted) = self.catalog.meant(&hello.dataset) else {
             return Err(PeerError::new(ErrorCode::NoDataset, self.names()));
         };
-        let (name, source) = (hosted.name(), hosted.source());
-        let codec = source.manifest().codec;
-        if hello.codecs.checked_shr(codec.into()).unwrap_or(0) & 1 == 0 {
+        self.caller.check(hosted.name()).map_err(denied)?;
+        let codec = hosted.source().manifest().codec;
+        if !knows(hello.codecs, codec) {
             let text = format!(
-                "`{name}` needs codec {codec}, the client has {:#b}",
+                "`{}` needs codec {codec}, the client has {:#b}",
+                hosted.name(),
                 hello.codecs
             );
             return Err(PeerError::new(ErrorCode::Version, text));
         }
-        Ok(source)
+        Ok(hosted)
     }
 
     /// The names of the datasets, one a line, as many as fit an error's text.
     fn names(&self) -> String {
         let mut text = String::new();
-        for name in self.catalog.names() {
+        let mut names = self.catalog.names();
+        names.retain(|name| self.caller.sees(name));
+        for name in names {
             let line = if text.is_empty() { "" } else { "\n" };
             if text.len() + line.len() + name.len() > MAX_TEXT {
                 break;
@@ -167,11 +192,11 @@ impl Session {
             if control.is_some() || !self.has_pages() {
                 return control;
             }
-            // Without a page, either misses wait now, or the credit is spent: no endless loop.
+            // Without a page, either replies wait now, or there is less to do: no endless loop.
             if let State::Open(open) = &mut self.state
-                && let Some(pages) = open.poll_pages()
+                && let Some(message) = open.poll_reading()
             {
-                return Some(pages.encode());
+                return Some(message.encode());
             }
         }
     }
@@ -234,6 +259,7 @@ impl Session {
 
     fn end(&mut self, reason: CloseReason) {
         if self.close_reason().is_none() {
+            self.stats_at_end = Some(self.stats());
             let said = false;
             self.state = State::Closed { reason, said };
         }
@@ -250,19 +276,56 @@ impl Session {
     /// The view that the client looks at, with its sequence number.
     pub fn view(&self) -> Option<(u32, View)> {
         match &self.state {
-            State::Open(open) => open.views.current(),
+            State::Open(open) => open
+                .views
+                .current()
+                .map(|(sequence, view, _)| (sequence, view)),
             State::Opening | State::Closed { .. } => None,
         }
     }
 
-    /// Revision and last part of a page that the client has, as far as the server remembers.
-    pub fn client_has(&self, page: PageId) -> Option<(u32, u8)> {
+    /// Last part of a page that the client has, as far as the server remembers.
+    pub fn client_has(&self, page: PageId) -> Option<u8> {
         match &self.state {
-            State::Open(open) => open
-                .cache
-                .get(page)
-                .map(|held| (held.revision, held.last_part)),
+            State::Open(open) => open.held.last_part(page),
             State::Opening | State::Closed { .. } => None,
         }
     }
+
+    /// The dataset, once Hello has named it. Its generations are for the caller to watch.
+    pub fn hosted(&self) -> Option<&Arc<Hosted>> {
+        self.hosted.as_ref()
+    }
+
+    /// The dataset has been published anew. From here on, all that is sent is of that generation.
+    pub fn handle_publication(&mut self, published: Arc<Published>) {
+        if let State::Open(open) = &mut self.state
+            && let Err(PeerError { code, text }) = open.change(published)
+        {
+            self.close(code, &text);
+        }
+    }
+
+    /// The dataset is hosted no longer.
+    pub fn handle_removal(&mut self) {
+        let names = self.names();
+        self.close(ErrorCode::NoDataset, &names);
+    }
+
+    /// Figures since Hello.
+    pub fn stats(&self) -> SessionStats {
+        self.stats_at_end.unwrap_or(match &self.state {
+            State::Open(open) => open.stats(),
+            State::Opening | State::Closed { .. } => SessionStats::default(),
+        })
+    }
+}
+
+fn denied(why: Denied) -> PeerError {
+    let text = match why {
+        Denied::NoToken => "this dataset needs a token",
+        Denied::WrongToken => "the token does not open this dataset",
+        Denied::Origin => "web pages of this origin may not use this dataset",
+    };
+    PeerError::new(ErrorCode::Denied, text)
 }

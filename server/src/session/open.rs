@@ -1,67 +1,129 @@
-//! A session after its Hello: wishes in, pages out.
+//! A session after its Hello: views and wishes in, pages out.
 
-use super::cache::CacheModel;
+use super::ahead::Ahead;
 use super::chunk::{PAGES_OVERHEAD, chunk_of, encoded_len};
-use super::queue::WantQueue;
+use super::held::Held;
+use super::push::{Piece, Pushes};
+use super::queue::{WantQueue, Wish};
+use super::stats::SessionStats;
 use super::views::ViewGate;
 use crate::limits::{LOOKUPS_PER_FRAME, Limits};
-use crate::source::PageSource;
+use crate::published::Published;
 use escarp_proto::geometry::PageId;
+use escarp_proto::page::MAX_RECORD_BYTES;
+use escarp_proto::select::Need;
+use escarp_proto::view::View;
 use escarp_proto::wire::{
-    Chunk, ClientMessage, ErrorCode, Have, Hello, Miss, MissReason, PAGES_FRAME, PROTOCOL,
-    PeerError, ServerMessage, SessionLimits, Want, Welcome,
+    Chunk, Class, ClientMessage, ErrorCode, Have, Hello, Miss, MissReason, PAGES_FRAME, PROTOCOL,
+    PeerError, Scope, ServerMessage, SessionLimits, Want, Welcome, capability,
 };
 use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// A message that waits to be sent, small: Welcome's manifest is added when it goes.
+/// A message that waits to be sent, small: manifests are added when it goes.
 #[derive(Debug)]
 enum Reply {
     Welcome,
+    GenChange,
     Miss(Miss),
     Pong(u64),
 }
 
+/// Where the next parts come from.
+#[derive(Debug, Clone, Copy)]
+enum Next {
+    Wanted(Wish),
+    Pushed(Piece),
+}
+
 /// The part of a session that exists between Hello and its end.
 pub(super) struct Open {
-    source: Arc<dyn PageSource>,
+    published: Arc<Published>,
+    codecs: u32,
+    capabilities: u64,
     announced: SessionLimits,
     replies: VecDeque<Reply>,
+    /// Said to be held, and not yet looked up.
+    haves: VecDeque<Vec<Have>>,
     pub(super) queue: WantQueue,
+    pushes: Pushes,
+    ahead: Ahead,
+    /// Most needs of one selection.
+    most_needs: usize,
+    /// The newest view is not selected for yet, or not to its end.
+    select_due: bool,
+    /// The selection had no room for all needs.
+    unfinished: bool,
     pub(super) views: ViewGate,
-    pub(super) cache: CacheModel,
+    pub(super) held: Held,
     allowed_bytes: u64,
     sent_bytes: u64,
     /// The first wish does not fit the credit; nothing goes until either changes.
     stalled: bool,
     /// An Idle is due when the queue runs empty.
     idle_owed: bool,
+    stats: SessionStats,
 }
 
 impl Open {
-    pub(super) fn new(source: Arc<dyn PageSource>, hello: &Hello, limits: &Limits) -> Open {
+    pub(super) fn new(published: Arc<Published>, hello: &Hello, limits: &Limits) -> Open {
+        let count = |limit: usize| u32::try_from(limit).unwrap_or(u32::MAX);
+        let offered = match limits.pushed_pages {
+            0 => capability::KNOWN & !capability::PUSH,
+            _ => capability::KNOWN,
+        };
         Open {
-            source,
+            published,
+            codecs: hello.codecs,
+            capabilities: hello.capabilities & offered,
             announced: SessionLimits {
-                wanted_pages: u32::try_from(limits.wanted_pages).unwrap_or(u32::MAX),
+                wanted_pages: count(limits.wanted_pages),
                 views_per_second: limits.views_per_second,
-                held_pages: u32::try_from(limits.cached_pages).unwrap_or(u32::MAX),
+                held_pages: count(limits.held_pages),
             },
             replies: VecDeque::from([Reply::Welcome]),
+            haves: VecDeque::new(),
             queue: WantQueue::new(limits.wanted_pages),
+            pushes: Pushes::default(),
+            ahead: Ahead::new(limits.look_ahead),
+            most_needs: limits.pushed_pages,
+            select_due: false,
+            unfinished: false,
             views: ViewGate::new(limits.views_per_second),
-            cache: CacheModel::new(limits.cached_pages),
+            held: Held::new(limits.held_pages),
             allowed_bytes: hello.credit_bytes,
             sent_bytes: 0,
             stalled: false,
             idle_owed: false,
+            stats: SessionStats::default(),
         }
     }
 
     /// Replies that wait.
+    #[cfg(test)]
     pub(super) fn replies(&self) -> usize {
         self.replies.len()
+    }
+
+    /// Whether there is room for another message: one list of pages said to be held is looked up
+    /// before the next is read.
+    pub(super) fn can_receive(&self, limits: &Limits) -> bool {
+        self.replies.len() < limits.queued_replies && self.haves.is_empty()
+    }
+
+    /// Figures since Hello.
+    pub(super) fn stats(&self) -> SessionStats {
+        SessionStats {
+            waiting: (self.queue.len() + self.pushes.len()) as u64,
+            held_pages: self.held.len() as u64,
+            is_stalled: self.stalled,
+            ..self.stats
+        }
+    }
+
+    fn pushes(&self) -> bool {
+        self.capabilities & capability::PUSH != 0
     }
 
     /// Handles one message.
@@ -77,23 +139,23 @@ impl Open {
             ClientMessage::Hello(_) => return Err(protocol("a second Hello")),
             // The session has ended before an Error gets here.
             ClientMessage::Error(_) => {}
-            ClientMessage::View { sequence, view, .. } => {
-                view.check()
-                    .map_err(|error| protocol(format!("View {sequence}: {error}")))?;
-                if !self.views.receive((sequence, view)) {
-                    return Err(protocol(format!(
-                        "View {sequence} does not follow its forerunner"
-                    )));
-                }
-                self.advance(now);
-            }
+            ClientMessage::View {
+                sequence,
+                view,
+                scope,
+            } => self.view(sequence, view, scope, now)?,
             ClientMessage::Want(wants) => wants.iter().for_each(|want| self.want(want)),
             ClientMessage::Cancel(keys) => self.cancel(&keys)?,
             ClientMessage::Credit { total_bytes } => self.credit(total_bytes)?,
-            ClientMessage::Have(haves) => self.have(&haves)?,
+            ClientMessage::Have(haves) => {
+                for have in &haves {
+                    page_of(have.page)?;
+                }
+                self.haves.push_back(haves);
+            }
             ClientMessage::Evict(keys) => {
                 for key in keys {
-                    self.cache.evict(page_of(key)?);
+                    self.held.evict(page_of(key)?);
                 }
             }
             ClientMessage::Ping(number) => self.replies.push_back(Reply::Pong(number)),
@@ -101,15 +163,70 @@ impl Open {
         Ok(())
     }
 
+    fn view(
+        &mut self,
+        sequence: u32,
+        view: View,
+        scope: Scope,
+        now: Duration,
+    ) -> Result<(), PeerError> {
+        view.check()
+            .map_err(|error| protocol(format!("View {sequence}: {error}")))?;
+        if !self.views.receive((sequence, view, scope)) {
+            return Err(protocol(format!(
+                "View {sequence} does not follow its forerunner"
+            )));
+        }
+        self.advance(now);
+        Ok(())
+    }
+
     /// Looks at a waiting view if its time has come.
     pub(super) fn advance(&mut self, now: Duration) {
-        self.idle_owed |= self.views.advance(now);
+        if self.views.advance(now) {
+            self.stats.views += 1;
+            self.idle_owed = true;
+            self.select_due = self.pushes();
+            self.ahead.turn(now, self.pushes.shows_all());
+        }
+    }
+
+    /// The dataset has been published anew: from here on, all is of that.
+    ///
+    /// # Errors
+    /// What to end the session with, if the client cannot read it.
+    pub(super) fn change(&mut self, published: Arc<Published>) -> Result<(), PeerError> {
+        if Arc::ptr_eq(&self.published, &published) {
+            return Ok(());
+        }
+        let codec = published.source().manifest().codec;
+        if !knows(self.codecs, codec) {
+            let text = format!("the new generation needs codec {codec}");
+            return Err(PeerError::new(ErrorCode::Version, text));
+        }
+        self.published = published;
+        let of_both = |reply: &Reply| matches!(reply, Reply::Welcome | Reply::Pong(_));
+        let welcomed = !matches!(self.replies.front(), Some(Reply::Welcome));
+        self.replies.retain(of_both);
+        // Welcome has the newest manifest when it goes.
+        if welcomed {
+            self.replies.push_back(Reply::GenChange);
+        }
+        // Each Have is answered, whatever became of its pages.
+        self.queue.clear();
+        self.pushes.clear();
+        self.held.clear();
+        self.views.forget();
+        self.select_due = false;
+        self.idle_owed = false;
+        self.stalled = false;
+        Ok(())
     }
 
     fn want(&mut self, want: &Want) {
         self.idle_owed = true;
         self.stalled = false;
-        let levels = self.source.manifest().grid_levels;
+        let levels = self.published.source().manifest().grid_levels;
         let page = want.page_id().filter(|&page| levels.holds(page));
         match page {
             Some(page) if want.first_part <= want.last_part => {
@@ -148,41 +265,129 @@ impl Open {
         Ok(())
     }
 
-    fn have(&mut self, haves: &[Have]) -> Result<(), PeerError> {
-        for have in haves {
-            self.cache.have(page_of(have.page)?, *have);
-        }
-        Ok(())
-    }
-
     /// The next message that needs no record.
     pub(super) fn poll_control(&mut self) -> Option<ServerMessage> {
         if let Some(reply) = self.replies.pop_front() {
             return Some(match reply {
                 Reply::Welcome => ServerMessage::Welcome(self.welcome()),
+                Reply::GenChange => self.gen_change(),
                 Reply::Miss(miss) => ServerMessage::Miss(miss),
                 Reply::Pong(number) => ServerMessage::Pong(number),
             });
         }
-        let idle = self.idle_owed && self.queue.is_empty();
+        let idle = self.idle_owed && self.is_done();
         self.idle_owed &= !idle;
-        idle.then(|| ServerMessage::Idle {
-            view_sequence: self.views.current().map_or(0, |(sequence, _)| sequence),
+        idle.then(|| {
+            self.stats.idles += 1;
+            ServerMessage::Idle {
+                view_sequence: self.views.current().map_or(0, |(sequence, ..)| sequence),
+            }
         })
+    }
+
+    /// Whether nothing waits but what lies ahead of the view.
+    fn is_done(&self) -> bool {
+        self.queue.is_empty() && self.pushes.is_done() && !self.select_due && self.haves.is_empty()
     }
 
     fn welcome(&self) -> Welcome {
         Welcome {
             version: PROTOCOL,
-            capabilities: 0,
-            manifest: self.source.manifest_json().to_vec(),
+            capabilities: self.capabilities,
+            manifest: self.published.source().manifest_json().to_vec(),
             limits: self.announced,
         }
     }
 
-    /// Whether there may be pages to send.
+    fn gen_change(&self) -> ServerMessage {
+        let source = self.published.source();
+        ServerMessage::GenChange {
+            generation: source.manifest().generation,
+            manifest: source.manifest_json().to_vec(),
+        }
+    }
+
+    /// Whether there may be records to read: pages to send, or to look up.
     pub(super) fn has_pages(&self) -> bool {
-        !self.queue.is_empty() && !self.stalled
+        !self.haves.is_empty() || self.select_due || !self.stalled && self.next().is_some()
+    }
+
+    /// The next message that needs records, if there is one after all; or does a part of what
+    /// must be done before it.
+    pub(super) fn poll_reading(&mut self) -> Option<ServerMessage> {
+        if let Some(haves) = self.haves.pop_front() {
+            return Some(ServerMessage::Stale(self.have(&haves)));
+        }
+        if std::mem::take(&mut self.select_due) {
+            self.select();
+        }
+        self.poll_pages()
+    }
+
+    /// Notes what the client has. Keys of what is not of the current generation.
+    fn have(&mut self, haves: &[Have]) -> Vec<u64> {
+        let mut stale = Vec::new();
+        for have in haves {
+            let page = PageId::from_key(have.page);
+            match page.filter(|&page| self.is_current(page, have.revision)) {
+                Some(page) => {
+                    self.held.insert(page, have.parts);
+                }
+                None => stale.push(have.page),
+            }
+        }
+        stale
+    }
+
+    fn is_current(&self, page: PageId, revision: u32) -> bool {
+        let source = self.published.source();
+        let holds = source.manifest().grid_levels.holds(page);
+        // What cannot be read cannot be compared; the client has it, and may keep it no longer.
+        holds
+            && source
+                .revision(page)
+                .is_ok_and(|found| found == Some(revision))
+    }
+
+    /// Selects for the newest view, and for where the eye is going.
+    fn select(&mut self) {
+        let Some((_, view, scope)) = self.views.current() else {
+            return;
+        };
+        let mut needs: Vec<Need> = Vec::new();
+        let all = self
+            .published
+            .select(&view, scope, self.most_needs, &mut needs);
+        let dropped = self.pushes.replace(&needs, &self.held);
+        self.stats.cancelled_pieces += dropped as u64;
+        self.stats.selections += 1;
+        // The next selection goes on where this one ended, unless it would find nothing else.
+        self.unfinished = !all && !self.pushes.is_done();
+        if let Some(later) = self.ahead.view(&view) {
+            needs.clear();
+            self.published
+                .select(&later, Scope::InView, self.most_needs, &mut needs);
+            self.pushes.replace_ahead(&needs, &self.held);
+        }
+        self.stalled = false;
+    }
+
+    /// What goes next: wishes of the client and of the server in one order.
+    fn next(&self) -> Option<Next> {
+        let wanted = self.queue.first();
+        // Whether it may go must be known before its length is.
+        let ahead = self
+            .ahead
+            .may_send(self.sent_bytes, MAX_RECORD_BYTES as u64);
+        let pushed = self.pushes.first(ahead);
+        match (wanted, pushed) {
+            (Some((rank, wish)), Some(piece)) => Some(match rank.is_before(piece) {
+                true => Next::Wanted(wish),
+                false => Next::Pushed(*piece),
+            }),
+            (Some((_, wish)), None) => Some(Next::Wanted(wish)),
+            (None, piece) => piece.copied().map(Next::Pushed),
+        }
     }
 
     /// Fills a frame with the most urgent chunks. The order is strict: a chunk that does not fit
@@ -191,36 +396,95 @@ impl Open {
         let mut room = PAGES_FRAME - PAGES_OVERHEAD;
         let mut chunks = Vec::new();
         for _ in 0..LOOKUPS_PER_FRAME {
-            let Some(wish) = self.queue.first().filter(|_| !self.stalled) else {
+            let Some(next) = self.next().filter(|_| !self.stalled) else {
                 break;
             };
-            match chunk_of(self.source.as_ref(), wish) {
+            let Some(wish) = self.lacking(next) else {
+                self.remove(next);
+                continue;
+            };
+            match chunk_of(self.published.source().as_ref(), wish) {
                 Err(reason) => {
-                    self.queue.remove(wish.page);
-                    self.miss(wish.page.key(), reason);
+                    self.remove(next);
+                    if let Next::Wanted(_) = next {
+                        self.miss(wish.page.key(), reason);
+                    }
                 }
-                Ok(chunk) if self.left_bytes() < chunk.bytes.len() as u64 => self.stalled = true,
+                Ok(chunk) if self.left_bytes() < chunk.bytes.len() as u64 => {
+                    self.stalled = true;
+                    self.stats.credit_stalls += 1;
+                }
                 Ok(chunk) if encoded_len(&chunk) > room => break,
                 Ok(chunk) => {
                     room -= encoded_len(&chunk);
-                    self.queue.remove(wish.page);
-                    self.spend(wish.page, &chunk);
+                    self.remove(next);
+                    self.spend(next, wish.page, &chunk);
                     chunks.push(chunk);
                 }
             }
         }
+        if self.pushes.is_done() && std::mem::take(&mut self.unfinished) {
+            self.select_due = true;
+        }
         (!chunks.is_empty()).then_some(ServerMessage::Pages(chunks))
+    }
+
+    /// What of the next parts the client has not: nothing of a page that could not be remembered,
+    /// if it is not wanted.
+    fn lacking(&self, next: Next) -> Option<Wish> {
+        let (mut wish, pushed) = match next {
+            Next::Wanted(wish) => (wish, false),
+            Next::Pushed(piece) => (piece.wish(), true),
+        };
+        let lacks = self.held.next_part(wish.page);
+        // What is pushed goes on from what the client has by now; what is wanted from where the
+        // client says, unless that was sent meanwhile.
+        wish.first_part = match pushed {
+            true => lacks,
+            false => wish.first_part.max(lacks),
+        };
+        let fits = !pushed || self.held.fits(wish.page);
+        (fits && wish.first_part <= wish.last_part).then_some(wish)
+    }
+
+    fn remove(&mut self, next: Next) {
+        match next {
+            Next::Wanted(wish) => self.queue.remove(wish.page),
+            Next::Pushed(piece) => self.pushes.remove_first(piece.class),
+        }
     }
 
     fn left_bytes(&self) -> u64 {
         self.allowed_bytes - self.sent_bytes
     }
 
-    fn spend(&mut self, page: PageId, chunk: &Chunk) {
-        self.sent_bytes += chunk.bytes.len() as u64;
+    fn spend(&mut self, next: Next, page: PageId, chunk: &Chunk) {
+        let bytes = chunk.bytes.len() as u64;
+        if self.held.was_evicted(page) {
+            self.stats.repeated_bytes += bytes;
+        }
+        self.sent_bytes += bytes;
         debug_assert!(self.sent_bytes <= self.allowed_bytes);
-        self.cache.sent(page, chunk);
+        self.held.sent(page, chunk.first_part, chunk.last_part);
+        let stats = &mut self.stats;
+        stats.pieces += 1;
+        match next {
+            Next::Wanted(_) => stats.wanted_bytes += bytes,
+            Next::Pushed(Piece {
+                class: Class::Predicted,
+                ..
+            }) => {
+                self.ahead.spend(bytes);
+                stats.predicted_bytes += bytes;
+            }
+            Next::Pushed(_) => stats.pushed_bytes += bytes,
+        }
     }
+}
+
+/// Whether a bit mask of codecs has this one.
+pub(super) fn knows(codecs: u32, codec: u8) -> bool {
+    codecs.checked_shr(codec.into()).unwrap_or(0) & 1 != 0
 }
 
 fn page_of(key: u64) -> Result<PageId, PeerError> {

@@ -2,6 +2,7 @@
 //!
 //! Invariant: `order` and `ranks` hold the same pages, at most `limit`.
 
+use super::push::Piece;
 use escarp_proto::geometry::PageId;
 use escarp_proto::wire::{Class, Want};
 use std::cmp::Reverse;
@@ -17,10 +18,17 @@ pub(super) struct Wish {
 
 /// Place in the queue, smallest first: class, then priority, then arrival.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-struct Rank {
+pub(super) struct Rank {
     class: Class,
     priority: Reverse<u32>,
     arrival: u64,
+}
+
+impl Rank {
+    /// Whether it goes before a piece that nobody asked for.
+    pub(super) fn is_before(self, piece: &Piece) -> bool {
+        (self.class, self.priority) <= (piece.class, Reverse(ordered(piece.excess)))
+    }
 }
 
 /// A bounded priority queue with one wish a page.
@@ -80,9 +88,17 @@ impl WantQueue {
         }
     }
 
-    /// The most urgent wish.
-    pub(super) fn first(&self) -> Option<Wish> {
-        self.order.first_key_value().map(|(_, wish)| *wish)
+    /// The most urgent wish, and its place.
+    pub(super) fn first(&self) -> Option<(Rank, Wish)> {
+        self.order
+            .first_key_value()
+            .map(|(rank, wish)| (*rank, *wish))
+    }
+
+    /// Takes all wishes out.
+    pub(super) fn clear(&mut self) {
+        self.order.clear();
+        self.ranks.clear();
     }
 }
 

@@ -1,10 +1,11 @@
 //! The newest view, looked at no more often than announced.
 
 use escarp_proto::view::View;
+use escarp_proto::wire::Scope;
 use std::time::Duration;
 
-/// A view and its sequence number.
-pub(super) type Numbered = (u32, View);
+/// A view, before it its sequence number, and what of the terrain is of use.
+pub(super) type Numbered = (u32, View, Scope);
 
 /// Lets a view through at most once an interval; of those that come sooner, keeps the newest.
 #[derive(Debug)]
@@ -53,6 +54,12 @@ impl ViewGate {
     /// When a waiting view will become current.
     pub(super) fn deadline(&self) -> Option<Duration> {
         self.waiting.map(|_| self.opens)
+    }
+
+    /// Looks at nothing until the next view comes.
+    pub(super) fn forget(&mut self) {
+        self.waiting = None;
+        self.current = None;
     }
 
     /// The view that is looked at.

@@ -5,8 +5,12 @@
 //! blocking pool: a fault in mapped memory must not hold up the other sessions.
 
 use super::Phase;
+use super::early::Early;
 use super::outgoing::Outgoing;
+use super::tally::Tally;
+use crate::catalog::Stand;
 use crate::limits::Limits;
+use crate::metrics::Metrics;
 use crate::session::{CloseReason, Session};
 use axum::body::Bytes;
 use axum::extract::ws::{CloseFrame, Message, WebSocket, close_code};
@@ -20,33 +24,44 @@ use tokio::time::{Instant, sleep_until, timeout};
 /// Longest text of a close frame, bytes (RFC 6455, section 5.5, less the code).
 const CLOSE_TEXT: usize = 123;
 
-/// Serves a session to its end.
+/// Serves a session to its end; `None` if its connection was lost.
 pub(super) async fn drive(
     socket: WebSocket,
     session: Session,
+    early: Early,
     limits: &Limits,
     phase: watch::Receiver<Phase>,
-) {
+    metrics: &Metrics,
+) -> Option<CloseReason> {
     tracing::debug!("opened");
     let (sink, incoming) = socket.split();
     let now = Instant::now();
     let mut driver = Driver {
         session: Some(session),
+        early,
         outgoing: Outgoing::new(sink),
         incoming,
         reading: true,
         limits,
         phase,
+        stand: None,
+        tally: Tally::new(metrics),
         started: now,
         heard: now,
         pinged: now,
     };
     match driver.run().await {
         End::Closed(reason) => {
-            tracing::info!(?reason, "closed");
+            let totals = driver.totals();
+            tracing::info!(?reason, took = ?now.elapsed(), totals, "closed");
             driver.farewell(&reason).await;
+            Some(reason)
         }
-        End::Lost(why) => tracing::info!(why, "lost"),
+        End::Lost(why) => {
+            let totals = driver.totals();
+            tracing::info!(why, took = ?now.elapsed(), totals, "lost");
+            None
+        }
     }
 }
 
@@ -61,12 +76,17 @@ enum End {
 struct Driver<'a> {
     /// Away only while records are read for it.
     session: Option<Session>,
+    /// Messages that came with the handshake.
+    early: Early,
     outgoing: Outgoing,
     incoming: SplitStream<WebSocket>,
     /// Whether the client's side is still open.
     reading: bool,
     limits: &'a Limits,
     phase: watch::Receiver<Phase>,
+    /// Of the dataset that is looked at, once there is one.
+    stand: Option<watch::Receiver<Stand>>,
+    tally: Tally<'a>,
     started: Instant,
     heard: Instant,
     pinged: Instant,
@@ -75,6 +95,7 @@ struct Driver<'a> {
 impl Driver<'_> {
     async fn run(&mut self) -> End {
         loop {
+            self.begin();
             let end = match self.fill().await {
                 Ok(()) => self.wait().await,
                 end => end,
@@ -85,13 +106,41 @@ impl Driver<'_> {
         }
     }
 
+    /// What the session came to, in a line of the log.
+    fn totals(&self) -> String {
+        let stats = self.session.as_ref().map(Session::stats);
+        let stats = stats.unwrap_or_default();
+        format!(
+            "{} bytes: {} pushed, {} wanted, {} ahead, {} again; {} views",
+            stats.sent_bytes(),
+            stats.pushed_bytes,
+            stats.wanted_bytes,
+            stats.predicted_bytes,
+            stats.repeated_bytes,
+            stats.views
+        )
+    }
+
+    /// Handles what came with the handshake, as far as the session takes it.
+    fn begin(&mut self) {
+        let now = self.now();
+        while self.session().is_some_and(|session| session.can_receive())
+            && let Some(message) = self.early.pop_front()
+            && let Some(session) = self.session()
+        {
+            session.handle_message(&message, now);
+            self.watch();
+        }
+    }
+
     /// Starts the next message, if there is one and the last one has gone.
     async fn fill(&mut self) -> Result<(), End> {
         if self.outgoing.since().is_some() {
             return Ok(());
         }
-        let (session, message) = next_message(self.session.take()).await?;
+        let (session, message, read) = next_message(self.session.take()).await?;
         let reason = session.close_reason().cloned();
+        self.tally.note(&session.stats(), read, self.now());
         self.session = Some(session);
         match (message, reason) {
             (Some(message), _) => self.outgoing.start(Message::Binary(message.into())),
@@ -108,7 +157,9 @@ impl Driver<'_> {
     /// Waits for whatever happens next, and handles it.
     async fn wait(&mut self) -> Result<(), End> {
         let deadline = self.deadline();
-        let receive = self.reading && self.session().is_some_and(|session| session.can_receive());
+        let ready = self.early.is_empty();
+        let receive =
+            self.reading && ready && self.session().is_some_and(|session| session.can_receive());
         let writing = self.outgoing.since().is_some();
         tokio::select! {
             sent = self.outgoing.progress(), if writing => sent.map_err(|error| lost(&error)),
@@ -119,6 +170,7 @@ impl Driver<'_> {
                 let phase = changed.map_or(Phase::Stopped, |()| *self.phase.borrow());
                 self.handle_phase(phase)
             }
+            () = changed(&mut self.stand) => self.handle_stand(),
         }
     }
 
@@ -167,6 +219,33 @@ impl Driver<'_> {
         Ok(())
     }
 
+    /// Begins to watch the dataset that the session is about.
+    fn watch(&mut self) {
+        let hosted = self.session.as_ref().and_then(Session::hosted);
+        if let (None, Some(hosted)) = (&self.stand, hosted) {
+            let mut stand = hosted.subscribe();
+            // It may have changed since Hello.
+            stand.mark_changed();
+            self.stand = Some(stand);
+        }
+    }
+
+    /// The dataset has been published anew, or is hosted no longer.
+    fn handle_stand(&mut self) -> Result<(), End> {
+        let stand = self.stand.as_mut();
+        let stand = stand.map(|stand| stand.borrow_and_update().clone());
+        if let (Some(stand), Some(session)) = (stand, self.session()) {
+            match stand.hosted {
+                true => {
+                    session.handle_publication(stand.published);
+                    self.tally.generation_changed();
+                }
+                false => session.handle_removal(),
+            }
+        }
+        Ok(())
+    }
+
     fn handle(&mut self, message: Option<Result<Message, axum::Error>>) -> Result<(), End> {
         self.heard = Instant::now();
         let now = self.now();
@@ -174,7 +253,10 @@ impl Driver<'_> {
             return Ok(());
         };
         match message {
-            Some(Ok(Message::Binary(bytes))) => session.handle_message(&bytes, now),
+            Some(Ok(Message::Binary(bytes))) => {
+                session.handle_message(&bytes, now);
+                self.watch();
+            }
             Some(Ok(Message::Ping(_) | Message::Pong(_))) => session.handle_sign_of_life(now),
             Some(Ok(Message::Text(_))) => {
                 session.close(
@@ -209,21 +291,37 @@ impl Driver<'_> {
     }
 }
 
+/// A session, its next message, and how long reading records for it took.
+type Next = (Session, Option<Vec<u8>>, Option<Duration>);
+
 /// The session's next message, read on the blocking pool if records are needed.
-async fn next_message(session: Option<Session>) -> Result<(Session, Option<Vec<u8>>), End> {
+async fn next_message(session: Option<Session>) -> Result<Next, End> {
     let Some(mut session) = session else {
         return Err(End::Lost("a record could not be read".into()));
     };
     let control = session.poll_control();
     if control.is_some() || !session.has_pages() {
-        return Ok((session, control));
+        return Ok((session, control, None));
     }
     let read = tokio::task::spawn_blocking(move || {
+        let began = Instant::now();
         let message = session.poll_message();
-        (session, message)
+        (session, message, Some(began.elapsed()))
     });
     read.await
         .map_err(|error| End::Lost(format!("reading records: {error}")))
+}
+
+/// Ready when a dataset changed; never while there is none, or none any more.
+async fn changed(stand: &mut Option<watch::Receiver<Stand>>) {
+    let changed = match stand {
+        Some(stand) => stand.changed().await.is_ok(),
+        None => false,
+    };
+    if !changed {
+        *stand = None;
+        std::future::pending().await
+    }
 }
 
 fn lost(error: &axum::Error) -> End {

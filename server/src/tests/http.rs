@@ -1,5 +1,7 @@
 //! The HTTP addresses.
 
+mod data;
+
 use super::*;
 use escarp_proto::geometry::PageId;
 use escarp_proto::page::revision;
@@ -174,7 +176,7 @@ async fn other_methods_and_plain_requests_for_sessions_are_refused_with_reasons(
     let answer = request(&server, "POST", "/datasets", "Content-Length: 0\r\n").await;
     assert_eq!(
         (answer.status, answer.header("allow")),
-        (405, Some("GET, HEAD"))
+        (405, Some("GET, HEAD, OPTIONS"))
     );
     let answer = get(&server, "/session").await;
     assert!((400..500).contains(&answer.status));

@@ -2,6 +2,7 @@
 
 pub(crate) mod fake;
 
+mod heights;
 mod http;
 mod sessions;
 
@@ -25,6 +26,7 @@ type Socket = WebSocketStream<MaybeTlsStream<TcpStream>>;
 struct Server {
     address: SocketAddr,
     source: Arc<FakeSource>,
+    catalog: Arc<Catalog>,
     shutdown: oneshot::Sender<()>,
     task: JoinHandle<io::Result<()>>,
 }
@@ -37,12 +39,14 @@ impl Server {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.local_addr().unwrap();
         let (shutdown, told) = oneshot::channel();
-        let serving = serve(listener, Arc::new(catalog), limits, async {
+        let catalog = Arc::new(catalog);
+        let serving = serve(listener, catalog.clone(), limits, async {
             let _ = told.await;
         });
         Server {
             address,
             source,
+            catalog,
             shutdown,
             task: tokio::spawn(serving),
         }

@@ -10,7 +10,8 @@ fn tight() -> Limits {
     Limits {
         wanted_pages: 20,
         queued_replies: 10,
-        cached_pages: 15,
+        held_pages: 15,
+        pushed_pages: 30,
         ..Limits::default()
     }
 }
@@ -43,6 +44,11 @@ fn message() -> impl Strategy<Value = ClientMessage> {
         2 => vec(have, 0..30).prop_map(ClientMessage::Have),
         1 => vec(real_key, 0..30).prop_map(ClientMessage::Evict),
         3 => any::<u64>().prop_map(ClientMessage::Ping),
+        3 => any::<u32>().prop_map(|sequence| ClientMessage::View {
+            sequence,
+            view: view(),
+            scope: Scope::All,
+        }),
     ]
 }
 
@@ -50,7 +56,11 @@ fn check_bounds(session: &Session) {
     let limits = &session.limits;
     if let State::Open(open) = &session.state {
         assert!(open.queue.len() <= limits.wanted_pages);
-        assert!(open.cache.len() <= limits.cached_pages);
+        let stats = open.stats();
+        assert!(stats.held_pages as usize <= limits.held_pages);
+        // Each page is cut into a few pieces, for now and for what lies ahead.
+        let pieces = 2 * 6 * limits.pushed_pages;
+        assert!(stats.waiting as usize <= limits.wanted_pages + pieces);
         assert!(open.replies() < limits.queued_replies + MAX_LIST);
     }
 }
@@ -62,7 +72,7 @@ proptest! {
         steps in vec((message(), 0usize..8, 0u64..100), 0..40),
     ) {
         let mut peer = Peer::open_with(first, tight());
-        let (mut allowed, mut sent) = (first, 0);
+        let (mut allowed, mut sent, mut looked) = (first, 0, 0);
         for (message, polls, ms) in steps {
             peer.pass(Duration::from_millis(ms));
             if peer.session.can_receive() {
@@ -70,6 +80,10 @@ proptest! {
                     ClientMessage::Credit { total_bytes } => {
                         allowed += total_bytes;
                         ClientMessage::Credit { total_bytes: allowed }
+                    }
+                    ClientMessage::View { view, scope, .. } => {
+                        looked += 1;
+                        ClientMessage::View { sequence: looked, view, scope }
                     }
                     other => other,
                 });

@@ -4,12 +4,15 @@ mod end;
 mod example;
 mod hostile;
 mod order;
+mod push;
 mod time;
 mod wants;
 
 use super::*;
+use crate::source::PageSource;
 use crate::tests::fake::FakeSource;
-use escarp_proto::wire::{Chunk, Class, Miss, Scope, Want};
+use escarp_proto::page::revision;
+use escarp_proto::wire::{Chunk, Class, Have, Miss, Scope, Want, capability};
 use std::sync::LazyLock;
 
 /// One for all tests: its records are made once.
@@ -32,6 +35,14 @@ pub(super) fn hello(credit_bytes: u64) -> Hello {
         dataset: "fake".into(),
         credit_bytes,
         token: None,
+    }
+}
+
+pub(super) fn have(page: PageId, parts: u8) -> Have {
+    Have {
+        page: page.key(),
+        revision: revision(page, &SOURCE.stored(page)),
+        parts,
     }
 }
 
@@ -87,6 +98,28 @@ impl Peer {
         peer.say(ClientMessage::Hello(hello(credit_bytes)));
         assert!(matches!(peer.hear(), Some(ServerMessage::Welcome(_))));
         peer
+    }
+
+    /// After Welcome, with what a View needs sent unasked.
+    pub fn pushed(credit_bytes: u64, limits: Limits) -> Peer {
+        let mut peer = Peer::new(limits);
+        peer.say(ClientMessage::Hello(Hello {
+            capabilities: capability::PUSH,
+            ..hello(credit_bytes)
+        }));
+        let Some(ServerMessage::Welcome(welcome)) = peer.hear() else {
+            panic!("no welcome")
+        };
+        assert_eq!(welcome.capabilities, capability::PUSH);
+        peer
+    }
+
+    pub fn look(&mut self, sequence: u32, view: View) {
+        self.say(ClientMessage::View {
+            sequence,
+            view,
+            scope: Scope::All,
+        });
     }
 
     pub fn say(&mut self, message: ClientMessage) {

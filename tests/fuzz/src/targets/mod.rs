@@ -6,6 +6,8 @@ mod records;
 
 mod messages;
 
+mod sessions;
+
 mod texts;
 
 mod inputs;
@@ -22,10 +24,11 @@ mod journals;
 pub type Target = (&'static str, fn(&[u8]));
 
 /// All targets.
-pub const TARGETS: [Target; 10] = [
+pub const TARGETS: [Target; 11] = [
     ("page", records::page),
     ("codec", records::codec),
     ("wire", messages::wire),
+    ("session", sessions::session),
     ("text", texts::text),
     ("dem", inputs::dem),
     ("side", inputs::side),

@@ -1,0 +1,73 @@
+//! From a connection's requests to their answers: what is at hand is answered on the spot, all
+//! else by the router.
+
+use super::{App, data, router};
+use axum::Router;
+use axum::body::HttpBody;
+use axum::http::Request;
+use axum::response::Response;
+use futures_util::future::Either;
+use hyper::body::Incoming;
+use hyper_util::service::{TowerToHyperService, TowerToHyperServiceFuture};
+use std::convert::Infallible;
+use std::future::{Ready, ready};
+use std::time::Instant;
+
+/// What is answered on the spot has no route of the router's; so it is counted.
+const AT_ONCE: &str = "at once";
+
+/// Answers a connection's requests.
+#[derive(Clone)]
+pub(crate) struct Service {
+    /// What can be answered on the spot.
+    app: Option<App>,
+    router: TowerToHyperService<Router>,
+}
+
+impl Service {
+    pub(crate) fn new(app: App) -> Service {
+        Service {
+            router: TowerToHyperService::new(router(app.clone())),
+            app: Some(app),
+        }
+    }
+
+    /// All of it by a router.
+    pub(crate) fn of(router: Router) -> Service {
+        Service {
+            app: None,
+            router: TowerToHyperService::new(router),
+        }
+    }
+
+    fn at_once(&self, request: &Request<Incoming>) -> Option<Response> {
+        let app = self.app.as_ref()?;
+        let began = Instant::now();
+        if !app.gate.lets_pass(request) {
+            return None;
+        }
+        let response = data::at_once(app, request)?;
+        let bytes = response.body().size_hint().lower();
+        let status = response.status().as_u16();
+        let took = began.elapsed();
+        let metrics = &app.gate.metrics;
+        metrics.request_answered(Some(AT_ONCE), status, bytes, took);
+        Some(response)
+    }
+}
+
+impl hyper::service::Service<Request<Incoming>> for Service {
+    type Response = Response;
+    type Error = Infallible;
+    type Future = Either<
+        Ready<Result<Response, Infallible>>,
+        TowerToHyperServiceFuture<Router, Request<Incoming>>,
+    >;
+
+    fn call(&self, request: Request<Incoming>) -> Self::Future {
+        match self.at_once(&request) {
+            Some(response) => Either::Left(ready(Ok(response))),
+            None => Either::Right(self.router.call(request)),
+        }
+    }
+}
