@@ -56,11 +56,7 @@ impl Host {
     ///
     /// # Panics
     /// If it does not start.
-    pub fn start_with(
-        port: u16,
-        sources: &[(&str, Arc<dyn PageSource>)],
-        limits: Limits,
-    ) -> Host {
+    pub fn start_with(port: u16, sources: &[(&str, Arc<dyn PageSource>)], limits: Limits) -> Host {
         let catalog = Catalog::default();
         for (name, source) in sources {
             catalog.add(name, source.clone()).expect("a name");
@@ -74,14 +70,9 @@ impl Host {
         let listener = listener.unwrap_or_else(|error| panic!("port {port} is not free: {error}"));
         let address = listener.local_addr().expect("an address");
         let (stop, stopped) = oneshot::channel();
-        let served = runtime.spawn(serve(
-            listener,
-            Arc::new(catalog),
-            limits,
-            async {
-                let _ = stopped.await;
-            },
-        ));
+        let served = runtime.spawn(serve(listener, Arc::new(catalog), limits, async {
+            let _ = stopped.await;
+        }));
         Host {
             address,
             runtime: Some(runtime),
