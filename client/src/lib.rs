@@ -22,6 +22,10 @@ pub mod render;
 
 pub mod app;
 
+pub mod cache;
+
 pub mod remote;
+
+pub mod pull;
 
 pub mod cli;

@@ -13,6 +13,7 @@ use crate::stages::Stages;
 use crate::terrain::{Terrain, TerrainStep};
 use escarp_proto::geometry::PageId;
 use escarp_proto::manifest::Manifest;
+use escarp_proto::page::Page;
 use escarp_proto::view::View;
 use escarp_proto::wire::MissReason;
 use std::sync::{Arc, Mutex};
@@ -73,7 +74,10 @@ impl RemoteTerrain {
                 waker();
             }
         };
-        let config = LinkConfig::new(url.dataset().unwrap_or(""));
+        let config = LinkConfig {
+            push: options.push,
+            ..LinkConfig::new(url.dataset().unwrap_or(""))
+        };
         let connection = Connection::with_waker(url, Box::new(wake));
         RemoteTerrain {
             waker,
@@ -88,8 +92,10 @@ impl RemoteTerrain {
         config: LinkConfig,
         options: ClientOptions,
     ) -> RemoteTerrain {
+        let mut link = Link::new(config);
+        link.set_push(options.mesh.scope().is_some());
         RemoteTerrain {
-            link: Link::new(config),
+            link,
             connection,
             terrain: None,
             governor: options.governor(),
@@ -179,8 +185,7 @@ impl RemoteTerrain {
                 (self.refusals, self.lost) = (0, 0);
                 self.reasons.clear();
                 if changed {
-                    let (cap, mesh) = (self.options.memory_cap_bytes, self.options.mesh);
-                    self.terrain = Some(Terrain::new(manifest, cap, mesh));
+                    self.start_anew(manifest);
                 } else if let Some(terrain) = &mut self.terrain {
                     terrain.forget_misses();
                 }
@@ -204,16 +209,28 @@ impl RemoteTerrain {
                 // The link says what the server's text is about.
                 self.refused = Some(self.link.trouble().map_or(text, str::to_owned));
             }
+            Event::GenChange { manifest } => self.start_anew(manifest),
             Event::Refused { .. }
             | Event::Idle { .. }
-            | Event::GenChange { .. }
+            | Event::Confirmed
             | Event::Disconnected { .. } => {}
         }
     }
 
+    /// Another generation: no page of the old one is of use.
+    fn start_anew(&mut self, manifest: Arc<Manifest>) {
+        let (cap, mesh) = (self.options.memory_cap_bytes, self.options.mesh);
+        let old = self.terrain.replace(Terrain::new(manifest, cap, mesh));
+        let pages = old.iter().flat_map(|old| old.tree().pages());
+        let pages: Vec<PageId> = pages.map(Page::id).collect();
+        self.link.evict(&pages);
+    }
+
     /// Updates the terrain for a view that is in order, and tells the link what follows.
     fn update(&mut self, view: &View) {
-        if self.link.set_view(view, self.now).is_err() {
+        let scope = self.options.mesh.scope().unwrap_or_default();
+        let (tested, _) = self.options.mesh.tested(view).clamped();
+        if self.link.set_view_in(&tested, scope, self.now).is_err() {
             return;
         }
         let clock = Instant::now();
@@ -240,6 +257,7 @@ impl RemoteTerrain {
     /// Tells the link, and the user, what a step of the terrain came to.
     fn follow(&mut self, step: TerrainStep) {
         self.link.evict(&step.dropped);
+        self.link.discard(&step.orphans);
         for refusal in &step.refused {
             match refusal.again {
                 true => self.link.evict(&[refusal.page]),
@@ -341,6 +359,7 @@ impl TerrainClient for RemoteTerrain {
             return;
         }
         self.options.mesh = mesh;
+        self.link.set_push(mesh.scope().is_some());
         self.governor = self.options.governor();
         if let Some(terrain) = &mut self.terrain {
             let dropped = terrain.set_options(mesh);

@@ -47,8 +47,10 @@ pub struct TerrainStep {
     pub lacking: usize,
     /// Triangles of the mesh.
     pub triangles: u64,
-    /// Pages that are no longer here, or came too late to be of use.
+    /// Pages that are no longer here.
     pub dropped: Vec<PageId>,
+    /// Pages that came for nothing: those above them are not here, or say that there are none.
+    pub orphans: Vec<PageId>,
     /// Pages that were refused.
     pub refused: Vec<Refusal>,
     /// The memory cap is reached by pages that are all in use: nothing more is wanted.
@@ -224,7 +226,10 @@ impl Terrain {
         let linked = page.and_then(|page| stages.time(Stage::Link, || self.tree.link(page)));
         match linked {
             Ok(()) => {}
-            Err(LinkError::Orphan(_)) => step.dropped.push(id),
+            Err(LinkError::Orphan(_)) => {
+                self.digests.remove(&id);
+                step.orphans.push(id);
+            }
             Err(why) => {
                 // What else of it is waiting does not fit any more.
                 self.arrived.retain(|other| other.page != chunk.page);

@@ -15,7 +15,7 @@ use tokio::sync::watch;
 /// Longest name of a dataset, bytes.
 pub const MAX_NAME: usize = 128;
 /// First parts of the server's own addresses, which no dataset may take.
-pub const RESERVED: [&str; 3] = ["datasets", "healthz", "session"];
+pub const RESERVED: [&str; 5] = ["datasets", "healthz", "metrics", "readyz", "session"];
 
 /// Named datasets.
 #[derive(Default)]

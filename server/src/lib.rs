@@ -8,6 +8,8 @@ pub mod limits;
 
 pub mod metrics;
 
+pub mod access;
+
 pub mod source;
 
 pub mod catalog;
@@ -22,6 +24,8 @@ pub mod native;
 
 pub mod dataset;
 
+pub mod heights;
+
 pub mod watch;
 
 mod http;
@@ -30,16 +34,23 @@ mod socket;
 
 mod stall;
 
+pub mod tls;
+
+mod health;
+
 mod serve;
+
+pub mod config;
 
 pub mod cli;
 
 #[cfg(test)]
 mod tests;
 
+pub use access::Access;
 pub use catalog::{Catalog, CatalogError, Hosted};
 pub use limits::Limits;
 pub use published::Published;
-pub use serve::serve;
+pub use serve::{Serving, serve};
 pub use session::Session;
 pub use source::{PageSource, SourceError};

@@ -1,5 +1,10 @@
 //! Every number that a peer could make grow, in one place.
 
+mod table;
+
+pub use table::{ENTRIES, Entry};
+
+use crate::heights::HeightLimits;
 use escarp_proto::wire::{MAX_LIST, PAGES_FRAME};
 use std::time::Duration;
 
@@ -15,6 +20,16 @@ pub struct Limits {
     pub connections: usize,
     /// Sessions at a time. More are refused with HTTP status 503.
     pub sessions: usize,
+    /// HTTP connections of one address at a time, counted as above; 0: any number. More are closed
+    /// at once.
+    pub connections_per_address: usize,
+    /// Sessions of one address at a time; 0: any number. More are refused with HTTP status 429.
+    pub sessions_per_address: usize,
+    /// HTTP requests a second of one address, in the long run; 0: any number. More are refused
+    /// with HTTP status 429.
+    pub requests_per_second_per_address: u32,
+    /// HTTP requests of one address in a moment, beyond those a second.
+    pub request_burst_per_address: u32,
     /// Pages that a session may want at a time. More are answered by Miss Busy.
     pub wanted_pages: usize,
     /// Views a second that a session looks at. Of more, the newest is kept until its turn.
@@ -24,9 +39,7 @@ pub struct Limits {
     pub queued_replies: usize,
     /// Pages of a client's that a session remembers. More are not pushed.
     pub held_pages: usize,
-    /// Whether pages are sent unasked at all.
-    pub push: bool,
-    /// Pages of one selection; the next one goes on where it ended.
+    /// Pages of one selection; the next one goes on where it ended. 0: nothing is sent unasked.
     pub pushed_pages: usize,
     /// How far ahead a moving eye's needs are looked for, at most 2 s; 0 is not at all.
     pub look_ahead: Duration,
@@ -43,6 +56,8 @@ pub struct Limits {
     pub close_timeout: Duration,
     /// From the signal to shut down to the end of whatever is still open.
     pub drain_timeout: Duration,
+    /// What requests for heights may cost.
+    pub heights: HeightLimits,
 }
 
 impl Default for Limits {
@@ -50,11 +65,14 @@ impl Default for Limits {
         Limits {
             connections: 2048,
             sessions: 1024,
+            connections_per_address: 512,
+            sessions_per_address: 256,
+            requests_per_second_per_address: 1000,
+            request_burst_per_address: 4000,
             wanted_pages: 2048,
             views_per_second: 20,
             queued_replies: 1024,
             held_pages: 14_336,
-            push: true,
             pushed_pages: 2048,
             look_ahead: Duration::from_secs(1),
             hello_timeout: Duration::from_secs(10),
@@ -63,6 +81,7 @@ impl Default for Limits {
             send_timeout: Duration::from_secs(30),
             close_timeout: Duration::from_secs(1),
             drain_timeout: Duration::from_secs(5),
+            heights: HeightLimits::default(),
         }
     }
 }

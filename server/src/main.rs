@@ -1,9 +1,7 @@
 //! `escarp-server`: hosts datasets.
 
-use clap::Parser;
-use escarp_server::cli::{Cli, run};
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    run(&Cli::parse())
+    escarp_server::cli::run()
 }

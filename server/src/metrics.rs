@@ -13,7 +13,8 @@ mod tests;
 
 pub use labels::{Ended, Limited, Refusal, TlsFailure};
 
-use crate::catalog::Catalog;
+use crate::session::CloseReason;
+use escarp_proto::wire::ErrorCode;
 use prometheus_client::encoding::text::{encode_eof, encode_registry};
 use prometheus_client::metrics::counter::Counter;
 use prometheus_client::metrics::family::Family;
@@ -83,7 +84,7 @@ metrics! {
     predicted_bytes: Counter = Counter::default();
     /// Of the bytes sent: parts that the same session had been sent before, of the same revision.
     repeated_bytes: Counter = Counter::default();
-    /// Bytes of parts that were queued, and not sent because of a Cancel or a newer view.
+    /// Bytes of parts that were queued, and not sent because of a newer view: by the mean length.
     cancelled_bytes: Counter = Counter::default();
     /// How often a session had pages to send and no credit.
     credit_stalls: Counter = Counter::default();
@@ -99,7 +100,7 @@ metrics! {
     selection_seconds: Histogram = moments();
     /// Changes of a dataset's generation that sessions were told.
     generation_changes: Counter = Counter::default();
-    /// Connections that are open now; sessions are among them.
+    /// Connections that are open now; one that opened a session is none any more.
     connections_open: Gauge = Gauge::default();
     /// Connections that were accepted.
     connections: Counter = Counter::default();
@@ -145,6 +146,26 @@ impl Metrics {
         self.sessions_ended.get_or_create(&reason.label()).inc();
     }
 
+    /// A session is over: what was refused at its Hello was refused, anything else has ended.
+    /// `None`: its connection was lost.
+    pub fn session_over(&self, reason: Option<&CloseReason>) {
+        let Some(reason) = reason else {
+            return self.session_ended(Ended::Lost);
+        };
+        match reason {
+            CloseReason::Client(_) => self.session_ended(Ended::Client),
+            CloseReason::Server(error) => match error.code {
+                ErrorCode::Denied => self.session_refused(Refusal::Denied),
+                ErrorCode::NoDataset => self.session_refused(Refusal::NoDataset),
+                ErrorCode::Version => self.session_refused(Refusal::Version),
+                ErrorCode::Protocol => self.session_ended(Ended::Protocol),
+                ErrorCode::Limit => self.session_ended(Ended::Limit),
+                ErrorCode::ShuttingDown => self.session_ended(Ended::Shutdown),
+                ErrorCode::Internal => self.session_ended(Ended::Internal),
+            },
+        }
+    }
+
     /// A limit for one address refused something.
     pub fn limited(&self, what: Limited) {
         self.limited.get_or_create(&what.label()).inc();
@@ -185,40 +206,38 @@ impl Metrics {
     ///
     /// # Errors
     /// Never: text has room.
-    pub fn render(&self, catalog: &Catalog) -> Result<String, fmt::Error> {
+    pub fn render(&self, stands: &[Stand]) -> Result<String, fmt::Error> {
         let mut text = String::new();
         encode_registry(&mut text, &self.registry)?;
-        encode_registry(&mut text, &datasets(catalog))?;
+        encode_registry(&mut text, &datasets(stands))?;
         encode_registry(&mut text, &process::registry(self.started))?;
         encode_eof(&mut text)?;
         Ok(text)
     }
 }
 
-/// What each dataset is at.
-fn datasets(catalog: &Catalog) -> Registry {
+/// What a dataset is at.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Stand {
+    /// Its name.
+    pub dataset: String,
+    /// The generation that is served.
+    pub generation: u64,
+    /// Pages stored.
+    pub pages: u64,
+}
+
+fn datasets(stands: &[Stand]) -> Registry {
     let mut all = Registrar(Registry::with_prefix("escarp"));
-    let generation = all.add(
-        "dataset_generation",
-        "The generation that is served",
-        Family::<_, Gauge>::default(),
-    );
-    let pages = all.add(
-        "dataset_pages",
-        "Pages stored",
-        Family::<_, Gauge>::default(),
-    );
-    for hosted in catalog.all() {
-        let source = hosted.source();
-        let manifest = source.manifest();
-        let label = [("dataset", hosted.name().to_owned())];
-        let set = |family: &Family<_, Gauge>, value: u64| {
-            family
-                .get_or_create(&label)
-                .set(i64::try_from(value).unwrap_or(i64::MAX));
-        };
-        set(&generation, manifest.generation);
-        set(&pages, manifest.pages);
+    let family = Family::<_, Gauge>::default;
+    let generation = all.add("dataset_generation", "The generation served", family());
+    let pages = all.add("dataset_pages", "Pages stored", family());
+    for stand in stands {
+        let label = [("dataset", stand.dataset.clone())];
+        for (family, value) in [(&generation, stand.generation), (&pages, stand.pages)] {
+            let value = i64::try_from(value).unwrap_or(i64::MAX);
+            family.get_or_create(&label).set(value);
+        }
     }
     all.0
 }

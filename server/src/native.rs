@@ -63,6 +63,28 @@ pub fn native(georef: &Georef, [x, y]: [f64; 2]) -> [f64; 2] {
     }
 }
 
+/// World position of native coordinates, metres: the inverse of [`native`].
+pub fn world(georef: &Georef, [x, y]: [f64; 2]) -> [f64; 2] {
+    match &georef.plane {
+        Plane::Projected {
+            metres_per_unit, ..
+        } => [x * metres_per_unit, y * metres_per_unit],
+        Plane::Geographic {
+            radius_m,
+            middle_longitude_deg,
+            middle_latitude_deg,
+            ..
+        } => {
+            let parallel_m = radius_m * middle_latitude_deg.to_radians().cos();
+            [
+                parallel_m * (x - middle_longitude_deg).to_radians(),
+                radius_m * (y - middle_latitude_deg).to_radians(),
+            ]
+        }
+        Plane::Local => [x, y],
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -89,6 +111,25 @@ mod tests {
         let [longitude, latitude] = native(&georef(plane), [degree_m / 2.0, degree_m]);
         assert!((longitude - 11.0).abs() < 1e-12);
         assert!((latitude - 61.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn the_world_of_native_coordinates_is_where_they_came_from() {
+        let geographic = Plane::Geographic {
+            crs: "EPSG:4326".into(),
+            radius_m: 6_378_137.0,
+            middle_longitude_deg: 86.5,
+            middle_latitude_deg: 27.5,
+        };
+        let feet = Plane::Projected {
+            crs: "EPSG:2230".into(),
+            metres_per_unit: 0.3048,
+        };
+        for plane in [geographic, feet, Plane::Local] {
+            let georef = georef(plane);
+            let [x, y] = world(&georef, native(&georef, [-1234.5, 67_890.1]));
+            assert!((x + 1234.5).abs() < 1e-6 && (y - 67_890.1).abs() < 1e-6);
+        }
     }
 
     #[test]

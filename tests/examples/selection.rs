@@ -10,7 +10,6 @@ use escarp_tests::report::clock;
 use escarp_tests::report::flight::{Windows, open};
 use escarp_tests::report::leave_out::used_bytes;
 use escarp_tests::report::supply::Supply;
-use escarp_tests::report::variant::Variant;
 use escarp_tests::selected::{AllPages, part_bytes, select, tree_of};
 use escarp_tiles::dataset::Dataset;
 use std::path::Path;

@@ -31,6 +31,9 @@ pub mod nginx;
 pub mod load;
 
 pub mod peers;
+
+pub mod nets;
+
 pub mod report;
 
 pub mod stability;

@@ -24,6 +24,15 @@ const NETWORK: [&str; 14] = [
     "tungstenite",
 ];
 
+/// Sources of the programs.
+const SOURCES: [&str; 5] = [
+    "client/src",
+    "server/src",
+    "tiles/src",
+    "dataset/src",
+    "proto/src",
+];
+
 /// The packages and what each depends on, of the kinds that end up in its library.
 struct Packages {
     names: BTreeMap<String, String>,
@@ -170,13 +179,17 @@ fn the_crates_depend_on_each_other_in_one_direction() {
     let packages = Packages::read();
     assert_eq!(packages.named("escarp-proto"), BTreeSet::new());
     assert_eq!(
-        packages.named("escarp-tiles"),
+        packages.named("escarp-dataset"),
         BTreeSet::from(["escarp-proto"])
     );
-    assert_eq!(
-        packages.named("escarp-client"),
-        BTreeSet::from(["escarp-proto"])
-    );
+    // What writes a dataset's files is below both the build and `pull`; the build is not below
+    // the client.
+    for package in ["escarp-tiles", "escarp-client"] {
+        assert_eq!(
+            packages.named(package),
+            BTreeSet::from(["escarp-dataset", "escarp-proto"])
+        );
+    }
     assert_eq!(
         packages.named("escarp-server"),
         BTreeSet::from(["escarp-proto", "escarp-tiles"])
@@ -192,7 +205,12 @@ fn the_crates_depend_on_each_other_in_one_direction() {
 #[test]
 fn the_server_and_the_tiles_are_built_without_graphics() {
     let packages = Packages::read();
-    for package in ["escarp-server", "escarp-tiles", "escarp-proto"] {
+    for package in [
+        "escarp-server",
+        "escarp-tiles",
+        "escarp-dataset",
+        "escarp-proto",
+    ] {
         let below = packages.below(package);
         for name in [
             "wgpu",
@@ -211,7 +229,7 @@ fn the_server_and_the_tiles_are_built_without_graphics() {
 #[test]
 fn the_protocol_and_the_tiles_are_built_without_sockets() {
     let packages = Packages::read();
-    for package in ["escarp-proto", "escarp-tiles"] {
+    for package in ["escarp-proto", "escarp-dataset", "escarp-tiles"] {
         let below = packages.below(package);
         for name in NETWORK {
             assert!(!below.contains(name), "{package} depends on {name}");
@@ -231,7 +249,7 @@ fn the_protocol_and_the_tiles_are_built_without_sockets() {
 fn graphics_are_named_under_one_folder_only() {
     let render = workspace().join("client/src/render");
     let mut inside = 0;
-    for folder in ["client/src", "server/src", "tiles/src", "proto/src"] {
+    for folder in SOURCES {
         for path in sources(folder) {
             if path.starts_with(&render) {
                 inside += usize::from(says(&path, "wgpu"));
@@ -271,9 +289,9 @@ fn the_core_of_the_client_has_no_sockets_threads_or_clock() {
 
 #[test]
 fn unsafe_code_is_at_the_one_place_that_maps_files() {
-    for folder in ["client/src", "server/src", "tiles/src", "proto/src"] {
+    for folder in SOURCES {
         for path in sources(folder) {
-            let mapping = path.ends_with("tiles/src/dataset/map.rs");
+            let mapping = path.ends_with("dataset/src/map.rs");
             assert_eq!(says(&path, "unsafe {"), mapping, "{}", path.display());
         }
     }

@@ -14,15 +14,14 @@ pub mod frame;
 
 pub mod build;
 
-pub mod dataset;
+pub use escarp_dataset as dataset;
+pub use escarp_dataset::checksum;
 
 pub mod update;
 
 pub mod export;
 
 pub mod verify;
-
-pub mod checksum;
 
 pub mod process;
 

@@ -111,6 +111,9 @@ pub(super) struct ServerArgs {
     /// Most memory for resident pages, MB; the GPU's copy of what is drawn comes on top
     #[arg(long, default_value_t = 1024, value_name = "MB", value_parser = clap::value_parser!(u32).range(16..))]
     memory_mb: u32,
+    /// Ask for every page, instead of letting the server send what the view needs
+    #[arg(long)]
+    pull_only: bool,
 }
 
 impl ServerArgs {
@@ -122,6 +125,7 @@ impl ServerArgs {
         let options = ClientOptions {
             memory_cap_bytes: (self.memory_mb as usize).saturating_mul(1 << 20),
             mesh: mesh.options()?,
+            push: !self.pull_only,
             max_ms: mesh.max_ms,
             frame_budget: budget.0,
         };

@@ -2,6 +2,7 @@
 
 mod arguments;
 mod fly;
+mod pull;
 mod snapshot;
 mod view;
 
@@ -24,6 +25,7 @@ Examples:
   escarp-client view http://127.0.0.1:8787/moon
   escarp-client snapshot http://127.0.0.1:8787/moon -o moon.png --error-px 1
   escarp-client fly http://127.0.0.1:8787/moon --path flight.json -o frames
+  escarp-client pull http://127.0.0.1:8787/moon --bounds 0,0,200000,150000 --error 10 -o local.escarp
 
 Exit codes: 0 done; 1 failed; 2 wrong usage.";
 
@@ -33,6 +35,8 @@ enum Command {
     View(view::ViewArgs),
     /// Write a picture to a PNG file, once it is within the tolerance
     Snapshot(snapshot::SnapshotArgs),
+    /// Take a region at a chosen error, as a dataset that escarp-server can host
+    Pull(pull::PullArgs),
     /// Fly a path without a window; prints a line of JSON a frame
     Fly(fly::FlyArgs),
 }
@@ -45,6 +49,7 @@ pub fn run(cli: Cli) -> Result<()> {
     match cli.command {
         Command::View(args) => view::run(args),
         Command::Snapshot(args) => snapshot::run(&args),
+        Command::Pull(args) => pull::run(args),
         Command::Fly(args) => fly::run(&args),
     }
 }

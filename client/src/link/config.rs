@@ -9,6 +9,9 @@ pub struct LinkConfig {
     pub dataset: String,
     /// Proof of access, if the server asks for one.
     pub token: Option<String>,
+    /// Whether the server may send what a View needs unasked, if it can. For a mesh that needs what
+    /// the server's selection finds: the quadtree's.
+    pub push: bool,
     /// Page bytes that the server may send ahead. At least two frames are granted.
     pub credit_window_bytes: u64,
     /// Pages asked for at a time, and not yet taken by [`poll_event`](super::Link::poll_event).
@@ -37,6 +40,7 @@ impl LinkConfig {
         LinkConfig {
             dataset: dataset.into(),
             token: None,
+            push: true,
             credit_window_bytes: 1 << 20,
             max_in_flight_pages: 1024,
             view_interval: Duration::from_millis(50),

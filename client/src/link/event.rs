@@ -15,12 +15,11 @@ pub enum Event {
     Welcome {
         /// What the dataset is.
         manifest: Arc<Manifest>,
-        /// The manifest is the first one, or differs from the last one: whatever the caller has
-        /// of the dataset belongs to another generation, so it must start anew. The link has
-        /// forgotten its pages already.
+        /// The manifest is the first one, or differs from the last one: as with
+        /// [`GenChange`](Event::GenChange).
         changed: bool,
     },
-    /// Parts of a page that was wanted.
+    /// Parts of a page, wanted or pushed, that continue what was delivered of it.
     Chunk(Chunk),
     /// A page that was wanted and does not come in this session: not found, or damaged.
     Miss(Miss),
@@ -31,12 +30,15 @@ pub enum Event {
         /// [`view_sequence`]: super::Link::view_sequence
         view_sequence: u32,
     },
-    /// The data has a new generation. The session goes on with the old one; the next one will
-    /// have a changed manifest.
+    /// The data has a new generation: chunks from here on are of it, and may not be mixed with
+    /// pages of before. Which of these it has, too, [`Confirmed`](Event::Confirmed) tells.
     GenChange {
-        /// The new generation.
-        generation: u64,
+        /// What the dataset is now.
+        manifest: Arc<Manifest>,
     },
+    /// After a changed manifest: the pages of before that the link still
+    /// [holds](super::Link::holds) are pages of the new generation, unchanged; others are not.
+    Confirmed,
     /// The server ended the session, and said why.
     Refused {
         /// It would do so again, so the link does not connect any more.
@@ -75,6 +77,9 @@ pub enum LinkError {
     /// Welcome carries no valid manifest.
     #[error("in Welcome: {0}")]
     Manifest(String),
+    /// GenChange carries no valid manifest.
+    #[error("in GenChange: {0}")]
+    Generation(String),
     /// Welcome chose a version that was not offered.
     #[error("in Welcome: protocol version {found}, allowed is {allowed}")]
     Version {
@@ -116,6 +121,10 @@ pub struct LinkStats {
     pub disconnects: u64,
     /// Chunks that were not asked for, or do not fit what is here.
     pub dropped_chunks: u64,
+    /// Chunks taken that were not asked for.
+    pub pushed_chunks: u64,
+    /// Pages that were asked for once more, as nothing came.
+    pub asked_again: u64,
     /// Times the server was too busy for a page.
     pub busy: u64,
 }
@@ -145,8 +154,30 @@ impl Events {
     /// Adds an event of another kind, in place of an older one of that kind.
     pub(super) fn push_latest(&mut self, event: Event) {
         self.queue
-            .retain(|old| discriminant(old) != discriminant(&event));
+            .retain(|old| discriminant(old) != discriminant(&event) || is_change(old));
         self.queue.push_back(event);
+    }
+
+    /// Adds the news of a changed manifest. If the caller has not taken an older one, it never
+    /// hears of what came in between: chunks of a generation that it skips. Their pages and first
+    /// parts.
+    pub(super) fn push_generation(&mut self, event: Event) -> Vec<Chunk> {
+        let skipped = match self.queue.iter().position(is_change) {
+            Some(at) => self.queue.split_off(at),
+            None => VecDeque::new(),
+        };
+        self.queue.push_back(event);
+        self.count_pages();
+        let chunks = skipped.into_iter().filter_map(|event| match event {
+            Event::Chunk(chunk) => Some(chunk),
+            _ => None,
+        });
+        chunks.collect()
+    }
+
+    fn count_pages(&mut self) {
+        let pages = self.queue.iter().filter(|event| page_of(event).is_some());
+        self.pages = pages.count();
     }
 
     pub(super) fn pop(&mut self) -> Option<Event> {
@@ -171,11 +202,7 @@ impl Events {
                 bytes += if keep { 0 } else { event.page_bytes() };
                 keep
             });
-            self.pages = self
-                .queue
-                .iter()
-                .filter(|event| page_of(event).is_some())
-                .count();
+            self.count_pages();
         }
         bytes
     }
@@ -184,6 +211,14 @@ impl Events {
     pub(super) fn len(&self) -> usize {
         self.queue.len()
     }
+}
+
+/// Whether what follows is of another generation than what was before.
+fn is_change(event: &Event) -> bool {
+    matches!(
+        event,
+        Event::Welcome { changed: true, .. } | Event::GenChange { .. }
+    )
 }
 
 fn page_of(event: &Event) -> Option<u64> {

@@ -7,10 +7,10 @@
 //! swap, and a new blocker waits no longer than until the next page arrives.
 
 use super::pages::{Held, Misses};
-use escarp_proto::page::MAX_RECORD_BYTES;
 use escarp_proto::wire::{Chunk, Want};
 use std::cmp::Ordering;
 use std::collections::HashMap;
+use std::time::Duration;
 
 /// A page is given up when chunks that do not continue it came more often than this: no race with
 /// a cancel explains that.
@@ -36,12 +36,10 @@ struct Flight {
     asked: Want,
     /// The part that must come next.
     next_part: u8,
-    /// Bytes received so far.
-    bytes: usize,
     /// The last wish list that had it.
     round: u64,
-    /// Whether the server of this session was asked for it.
-    sent: bool,
+    /// When the server of this session was asked for it, or last sent something of it.
+    told_at: Option<Duration>,
     /// Whether `asked` is still to be told.
     untold: bool,
     /// How often a chunk came that made it be asked for again.
@@ -53,7 +51,9 @@ struct Flight {
 pub(super) enum Verdict {
     /// It was asked for, and continues what is here.
     Taken,
-    /// Not asked for, or not what comes next.
+    /// Of a page that was not asked for.
+    Unasked,
+    /// Not what comes next.
     Stray,
     /// It does not belong to the parts that are here, or never is what was asked for.
     Unusable,
@@ -99,7 +99,7 @@ impl Flights {
         let (round, cancels) = (self.round, &mut self.cancels);
         self.flights.retain(|&page, flight| {
             let keep = flight.round == round;
-            if !keep && flight.sent {
+            if !keep && flight.told_at.is_some() {
                 cancels.push(page);
             }
             keep
@@ -126,14 +126,13 @@ impl Flights {
     }
 
     /// Judges a chunk, and notes what of the page is here now. Safe on untrusted input.
-    pub(super) fn take(&mut self, chunk: &Chunk, held: &mut Held) -> Verdict {
+    pub(super) fn take(&mut self, chunk: &Chunk, held: &mut Held, now: Duration) -> Verdict {
         let Some(flight) = self.flights.get_mut(&chunk.page) else {
-            return Verdict::Stray;
+            return Verdict::Unasked;
         };
-        let total = flight.bytes.saturating_add(chunk.bytes.len());
         let fits = chunk.first_part == flight.next_part
             && (chunk.first_part..=held.last_part(chunk.page)).contains(&chunk.last_part)
-            && total <= MAX_RECORD_BYTES;
+            && held.has_room(chunk);
         if !fits {
             self.any_untold |= flight.heal(chunk);
             return match flight.healed > MOST_HEALED {
@@ -142,14 +141,18 @@ impl Flights {
             };
         }
         if flight.next_part > 0 && !held.joins(chunk.page, chunk.revision) {
-            return Verdict::Unusable;
+            // What is here is of another generation, and will be found stale.
+            return match held.is_announced(chunk.page) {
+                true => Verdict::Stray,
+                false => Verdict::Unusable,
+            };
         }
-        flight.bytes = total;
         flight.next_part = chunk.last_part + 1;
+        flight.told_at = flight.told_at.map(|_| now);
         if chunk.last_part >= flight.asked.last_part {
             self.flights.remove(&chunk.page);
         }
-        held.add(chunk.page, chunk.revision, chunk.last_part);
+        held.add(chunk);
         Verdict::Taken
     }
 
@@ -160,7 +163,11 @@ impl Flights {
 
     /// Takes a page out, as the caller does not want it.
     pub(super) fn cancel(&mut self, page: u64) {
-        if self.flights.remove(&page).is_some_and(|flight| flight.sent) {
+        if self
+            .flights
+            .remove(&page)
+            .is_some_and(|flight| flight.told_at.is_some())
+        {
             self.cancels.push(page);
         }
     }
@@ -179,6 +186,50 @@ impl Flights {
         self.cancels.clear();
     }
 
+    /// Takes all out that the server was not asked for yet: what was to be asked.
+    pub(super) fn take_untold(&mut self) -> Vec<Want> {
+        let mut wants = Vec::new();
+        self.flights.retain(|_, flight| {
+            let keep = flight.told_at.is_some();
+            if !keep {
+                wants.push(flight.to_tell());
+            }
+            keep
+        });
+        wants.sort_unstable_by(urgency);
+        wants
+    }
+
+    /// When the first flight has been left unanswered for so long, by a server that has done
+    /// nothing since `quiet`.
+    pub(super) fn swallowed_at(&self, quiet: Duration, patience: Duration) -> Option<Duration> {
+        let told = self.flights.values().filter(|flight| !flight.untold);
+        let told = told.filter_map(|flight| flight.told_at).min()?;
+        Some(told.max(quiet) + patience)
+    }
+
+    /// The pages that were asked for at this time or before and have not come: they are asked for
+    /// again, or given up, `false`, if that was done too often.
+    pub(super) fn ask_again(&mut self, told_by: Duration) -> Vec<(u64, bool)> {
+        let mut again = Vec::new();
+        for (&page, flight) in &mut self.flights {
+            if !flight.untold && flight.told_at.is_some_and(|at| at <= told_by) {
+                flight.healed += 1;
+                flight.untold = true;
+                again.push((page, flight.healed <= MOST_HEALED));
+            }
+        }
+        self.any_untold |= !again.is_empty();
+        again.sort_unstable();
+        again
+    }
+
+    /// Pages of which the server is about to be told.
+    pub(super) fn untold(&self) -> impl Iterator<Item = u64> {
+        let untold = self.flights.iter().filter(|(_, flight)| flight.untold);
+        untold.filter(|_| self.any_untold).map(|(&page, _)| page)
+    }
+
     /// Up to `most` pages to cancel. They go before wants, which may have the same page anew.
     pub(super) fn poll_cancels(&mut self, most: usize) -> Option<Vec<u64>> {
         let from = self.cancels.len().saturating_sub(most);
@@ -186,7 +237,7 @@ impl Flights {
     }
 
     /// Up to `most` wants that the server must hear of, most urgent first.
-    pub(super) fn poll_wants(&mut self, most: usize) -> Option<Vec<Want>> {
+    pub(super) fn poll_wants(&mut self, most: usize, now: Duration) -> Option<Vec<Want>> {
         if !self.any_untold {
             return None;
         }
@@ -197,7 +248,7 @@ impl Flights {
         wants.truncate(most);
         for want in &wants {
             if let Some(flight) = self.flights.get_mut(&want.page) {
-                flight.told();
+                flight.told(now);
             }
         }
         (!wants.is_empty()).then_some(wants)
@@ -209,9 +260,8 @@ impl Flight {
         Flight {
             asked,
             next_part: asked.first_part,
-            bytes: 0,
             round,
-            sent: false,
+            told_at: None,
             untold: true,
             healed: 0,
         }
@@ -244,13 +294,12 @@ impl Flight {
     }
 
     fn restart(&mut self) {
-        self.bytes = 0;
-        self.sent = false;
+        self.told_at = None;
         self.untold = true;
     }
 
-    fn told(&mut self) {
-        self.sent = true;
+    fn told(&mut self, now: Duration) {
+        self.told_at = Some(now);
         self.untold = false;
     }
 

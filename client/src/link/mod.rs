@@ -4,9 +4,11 @@
 //! parameter everywhere, as the duration since program start. So a test runs it under virtual
 //! time, and a browser can drive it. `proto/PROTOCOL.md` specifies what is said.
 
+mod claims;
 mod config;
 mod event;
 mod flights;
+mod gate;
 mod pages;
 mod receive;
 mod session;
@@ -18,19 +20,20 @@ pub(crate) mod tests;
 pub use config::LinkConfig;
 pub use event::{Event, LinkError, LinkStats};
 
+use claims::Claims;
 use config::Backoff;
 use escarp_proto::geometry::PageId;
 use escarp_proto::manifest::Manifest;
 use escarp_proto::view::{View, ViewError};
-use escarp_proto::wire::{SessionLimits, Want};
+use escarp_proto::wire::{MissReason, Scope, SessionLimits, Want};
 use event::{Events, tame};
 use flights::Flights;
+use gate::Gate;
 use pages::{Held, Misses};
 use session::{Credit, KeepAlive, Views};
 use std::collections::HashSet;
 use std::sync::Arc;
 use std::time::Duration;
-use transmit::Outgoing;
 
 /// Where a link stands. All times are since program start.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -54,6 +57,14 @@ pub enum LinkState {
     },
     /// The server refused for good. The link does not connect any more.
     Refused,
+}
+
+/// The Ping behind the Haves.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Barrier {
+    None,
+    Due,
+    Sent(u64),
 }
 
 /// The client's end of a session, and of those that follow when the connection is lost.
@@ -82,8 +93,8 @@ pub enum LinkState {
 ///
 /// # What it promises
 ///
-/// A chunk is delivered only if its page was wanted and its first part is the one that comes
-/// next, with the revision of those before. The link remembers what it delivered until it is
+/// A chunk is delivered only if its page was wanted, or the server pushes, and its first part is
+/// the one that comes next, with the revision of those before. The link remembers what it delivered until it is
 /// evicted, and never asks for it twice, not in the next session either. Whatever the server
 /// sends, the memory taken is bounded by [`LinkConfig`] and what the program wants and keeps.
 #[derive(Debug)]
@@ -100,7 +111,21 @@ pub struct Link {
     views: Views,
     credit: Credit,
     keep_alive: KeepAlive,
-    outgoing: Outgoing,
+    hello_due: bool,
+    claims: Claims,
+    barrier: Barrier,
+    /// The manifest has changed, and the barrier will show which pages are the same.
+    confirming: bool,
+    /// Whether the server of this session pushes, and whether that is of use.
+    push_agreed: bool,
+    push_wanted: bool,
+    gate: Gate,
+    /// Wishes that wait at the gate.
+    deferred: Vec<Want>,
+    /// When the server became idle, if it is.
+    idle_at: Option<Duration>,
+    /// When the last chunk came, or the session was opened.
+    chunk_at: Duration,
     events: Events,
     stats: LinkStats,
 }
@@ -126,7 +151,16 @@ impl Link {
             views: Views::new(config.view_interval),
             credit: Credit::new(&config),
             keep_alive: KeepAlive::new(&config),
-            outgoing: Outgoing::default(),
+            hello_due: false,
+            claims: Claims::default(),
+            barrier: Barrier::None,
+            confirming: false,
+            push_agreed: false,
+            push_wanted: config.push,
+            gate: Gate::default(),
+            deferred: Vec::new(),
+            idle_at: None,
+            chunk_at: Duration::ZERO,
             events: Events::default(),
             stats: LinkStats::default(),
             config,
@@ -143,15 +177,36 @@ impl Link {
         due
     }
 
-    /// The connection stands: Hello goes out. Pages held from earlier sessions are announced by
-    /// Have as soon as Welcome shows that the dataset is still the same one.
+    /// The connection stands: Hello goes out, and at once behind it what is held from earlier
+    /// sessions, by Have, and the view.
     pub fn on_connected(&mut self, now: Duration) {
         if self.state == LinkState::Refused {
             return;
         }
         self.state = LinkState::Greeting { since: now };
         self.credit = Credit::new(&self.config);
-        self.outgoing = Outgoing::greeting();
+        self.hello_due = true;
+        self.claim_all();
+    }
+
+    /// A server that knows nothing of the pages is told.
+    fn claim_all(&mut self) {
+        self.claims.clear();
+        let haves = self.held.announce_all();
+        let due = !haves.is_empty() || self.confirming;
+        haves.into_iter().for_each(|have| self.claims.have(have));
+        self.barrier = match due {
+            true => Barrier::Due,
+            false => Barrier::None,
+        };
+    }
+
+    /// The server takes other parts of a page to be here than are.
+    fn claim_anew(&mut self, page: u64) {
+        self.claims.evict(page);
+        if let Some(have) = self.held.announce(page) {
+            self.claims.have(have);
+        }
     }
 
     /// The connection was lost or did not come about. The pages in flight are asked for again in
@@ -176,6 +231,10 @@ impl Link {
     /// Gives up a session whose server is silent. Call it after the messages that have come.
     pub fn handle_timeout(&mut self, now: Duration) {
         self.misses.expire(now);
+        if self.is_open() {
+            self.open_gate(now);
+            self.ask_again(now);
+        }
         match self.state {
             LinkState::Greeting { since } if now >= since + self.config.welcome_timeout => {
                 let why = format!("no Welcome within {:?}", self.config.welcome_timeout);
@@ -206,8 +265,64 @@ impl Link {
     /// [`LinkConfig::busy_delay`]. Works without a connection as well.
     pub fn set_wants(&mut self, wants: &[Want], now: Duration) {
         self.misses.expire(now);
-        self.flights
-            .update(wants, self.places(), &self.held, &self.misses);
+        let places = match self.holds_back(!wants.is_empty(), now) {
+            true => {
+                self.deferred.clear();
+                self.deferred.extend_from_slice(wants);
+                0
+            }
+            false => {
+                self.deferred.clear();
+                self.places()
+            }
+        };
+        self.flights.update(wants, places, &self.held, &self.misses);
+    }
+
+    /// Whether what is lacking may be on its way unasked.
+    fn holds_back(&mut self, any: bool, now: Duration) -> bool {
+        let round_trip = self.keep_alive.round_trip();
+        self.is_pushing() && self.gate.holds_back(any, round_trip, now)
+    }
+
+    /// Wishes that have waited long enough are let through.
+    fn open_gate(&mut self, now: Duration) {
+        if !self.deferred.is_empty() && !self.holds_back(true, now) {
+            let wants = std::mem::take(&mut self.deferred);
+            self.set_wants(&wants, now);
+        }
+    }
+
+    /// Asks again for what the server has swallowed.
+    fn ask_again(&mut self, now: Duration) {
+        if self.swallowed_at().is_none_or(|at| now < at) {
+            return;
+        }
+        let (_, patience) = self.quiet();
+        for (page, again) in self.flights.ask_again(now.saturating_sub(patience)) {
+            self.stats.asked_again += 1;
+            match again {
+                true => self.claims.note_stray(page),
+                false => self.lose(page, MissReason::NotFound),
+            }
+        }
+    }
+
+    /// Whether the server of this session sends what a View needs unasked.
+    pub fn is_pushing(&self) -> bool {
+        self.push_agreed && self.push_wanted
+    }
+
+    /// Whether pushed pages are of use from now on; not more than
+    /// [`LinkConfig::push`] allows. Without, the server of a session that pushes hears of no more
+    /// views.
+    pub fn set_push(&mut self, wanted: bool) {
+        self.push_wanted = wanted && self.config.push;
+    }
+
+    /// Whether parts of a page were delivered, and neither evicted since nor found stale.
+    pub fn holds(&self, page: PageId) -> bool {
+        self.held.has(page.key())
     }
 
     /// Places for pages: what is not yet taken by the caller occupies one, too.
@@ -217,14 +332,29 @@ impl Link {
         places.saturating_sub(self.events.pages())
     }
 
-    /// The view that the picture is drawn from. Sent if it changed, at most as often as
+    /// As [`set_view_in`](Self::set_view_in) for a mesh that keeps the tolerance all around.
+    ///
+    /// # Errors
+    /// A view that [`View::check`] refuses, which is not sent.
+    pub fn set_view(&mut self, view: &View, now: Duration) -> Result<(), ViewError> {
+        self.set_view_in(view, Scope::All, now)
+    }
+
+    /// The view that the mesh is tested by. Sent if it changed, at most as often as
     /// [`LinkConfig::view_interval`] and the server allow; the newest wins.
     ///
     /// # Errors
     /// A view that [`View::check`] refuses, which is not sent.
-    pub fn set_view(&mut self, view: &View, _now: Duration) -> Result<(), ViewError> {
+    pub fn set_view_in(
+        &mut self,
+        view: &View,
+        scope: Scope,
+        now: Duration,
+    ) -> Result<(), ViewError> {
         view.check()?;
-        self.views.set(view);
+        if self.views.set(view, scope) {
+            self.gate.on_view(now);
+        }
         Ok(())
     }
 
@@ -236,8 +366,27 @@ impl Link {
         self.credit.taken(dropped);
         for page in keys {
             self.flights.cancel(page);
-            if self.held.remove(page) && self.is_open() {
-                self.outgoing.evicts.push(page);
+            let told = matches!(
+                self.state,
+                LinkState::Greeting { .. } | LinkState::Open { .. }
+            );
+            if self.held.remove(page) && told {
+                self.claims.evict(page);
+            }
+        }
+    }
+
+    /// The caller has no use for parts of these pages that it was given: as
+    /// [`evict`](Self::evict), but the server is told no sooner than the page is wanted, lest it
+    /// push it again.
+    pub fn discard(&mut self, pages: &[PageId]) {
+        let keys: HashSet<u64> = pages.iter().map(|page| page.key()).collect();
+        let dropped = self.events.forget_pages(|page| keys.contains(&page));
+        self.credit.taken(dropped);
+        for page in keys {
+            self.flights.cancel(page);
+            if self.held.remove(page) {
+                self.claims.note_stray(page);
             }
         }
     }
@@ -245,7 +394,7 @@ impl Link {
     /// The caller gives a page up, as its bytes are wrong: it is evicted, and not asked for again
     /// in this session. A page that is only [evicted](Self::evict) may be wanted once more.
     pub fn reject(&mut self, page: PageId) {
-        self.evict(&[page]);
+        self.discard(&[page]);
         self.misses.lose(page.key());
     }
 
@@ -307,6 +456,10 @@ impl Link {
         self.flights.forget_session();
         self.misses.clear();
         self.views.forget_session();
-        self.outgoing = Outgoing::default();
+        self.claims.clear();
+        self.barrier = Barrier::None;
+        self.push_agreed = false;
+        self.gate = Gate::default();
+        self.idle_at = None;
     }
 }

@@ -1,8 +1,8 @@
 //! What the link knows of pages: those here, and those that do not come.
 
 use escarp_proto::geometry::{GridLevels, PageId};
-use escarp_proto::page::last_part;
-use escarp_proto::wire::{Have, Want};
+use escarp_proto::page::{MAX_RECORD_BYTES, last_part};
+use escarp_proto::wire::{Chunk, Have, Want};
 use std::collections::{HashMap, HashSet, VecDeque};
 use std::time::Duration;
 
@@ -22,15 +22,24 @@ struct Parts {
     revision: u32,
     /// Parts here, from the first.
     count: u8,
+    /// Their bytes, at most those of the longest record.
+    bytes: u16,
+    /// Said by Have, and the server may still answer that it is stale.
+    announced: bool,
 }
+
+const _: () = assert!(MAX_RECORD_BYTES <= u16::MAX as usize);
 
 impl Held {
     /// What of a wish is still to be asked for. Parts that were delivered may not be linked into
     /// the mesh tree yet, so that it wishes for them once more; and a wish for more parts than the
     /// page has would never be fulfilled.
     pub(super) fn missing(&self, want: &Want) -> Option<Want> {
-        let count = self.pages.get(&want.page).map_or(0, |parts| parts.count);
-        let first_part = want.first_part.max(count);
+        let first_part = match self.count(want.page) {
+            // What the wish counts on has gone.
+            0 => 0,
+            count => want.first_part.max(count),
+        };
         let last_part = want.last_part.min(self.last_part(want.page));
         (first_part <= last_part).then_some(Want {
             first_part,
@@ -52,18 +61,79 @@ impl Held {
             .is_none_or(|parts| parts.revision == revision)
     }
 
-    pub(super) fn add(&mut self, page: u64, revision: u32, last_part: u8) {
-        let count = last_part.saturating_add(1);
-        self.pages.insert(page, Parts { revision, count });
+    /// Whether a chunk continues what is here of its page, or begins one of which nothing is: no
+    /// part missing or twice, of one revision, and no longer than a record may be.
+    pub(super) fn continues(&self, chunk: &Chunk) -> bool {
+        let page = PageId::from_key(chunk.page);
+        page.zip(self.grid).is_some_and(|(id, grid)| grid.holds(id))
+            && chunk.first_part == self.count(chunk.page)
+            && (chunk.first_part..=self.last_part(chunk.page)).contains(&chunk.last_part)
+            && self.joins(chunk.page, chunk.revision)
+            && self.has_room(chunk)
+    }
+
+    /// Whether a page stays within the longest record with this chunk.
+    pub(super) fn has_room(&self, chunk: &Chunk) -> bool {
+        let here = self.pages.get(&chunk.page).map_or(0, |parts| parts.bytes);
+        usize::from(here) + chunk.bytes.len() <= MAX_RECORD_BYTES
+    }
+
+    /// Parts that are here.
+    pub(super) fn count(&self, page: u64) -> u8 {
+        self.pages.get(&page).map_or(0, |parts| parts.count)
+    }
+
+    /// Takes note of a chunk that [has room](Self::has_room).
+    pub(super) fn add(&mut self, chunk: &Chunk) {
+        let parts = self.pages.entry(chunk.page).or_insert(Parts {
+            revision: chunk.revision,
+            count: 0,
+            bytes: 0,
+            announced: false,
+        });
+        parts.revision = chunk.revision;
+        parts.count = chunk.last_part.saturating_add(1);
+        parts.bytes = parts.bytes.saturating_add(chunk.bytes.len() as u16);
+        // It came as a continuation, so the server's revision is ours.
+        parts.announced = false;
+    }
+
+    pub(super) fn has(&self, page: u64) -> bool {
+        self.pages.contains_key(&page)
+    }
+
+    /// Whether the server may still say that the page is stale.
+    pub(super) fn is_announced(&self, page: u64) -> bool {
+        self.pages.get(&page).is_some_and(|parts| parts.announced)
+    }
+
+    /// The server says that its revision is another one. Whether that is news.
+    pub(super) fn is_stale(&mut self, page: u64) -> bool {
+        self.is_announced(page) && self.remove(page)
+    }
+
+    /// All that was said by Have has been answered.
+    pub(super) fn confirm(&mut self) {
+        self.pages
+            .values_mut()
+            .for_each(|parts| parts.announced = false);
+    }
+
+    /// Of a page there are only so many parts; how many bytes they have is not known any more.
+    pub(super) fn cut(&mut self, page: u64, count: u8) {
+        match self.pages.get_mut(&page) {
+            Some(_) if count == 0 => drop(self.pages.remove(&page)),
+            Some(parts) => parts.count = parts.count.min(count),
+            None => {}
+        }
     }
 
     pub(super) fn remove(&mut self, page: u64) -> bool {
         self.pages.remove(&page).is_some()
     }
 
-    /// Forgets all pages; those to come belong to this grid.
+    /// Pages to come belong to this grid.
     pub(super) fn start(&mut self, grid: GridLevels) {
-        self.pages.clear();
         self.grid = Some(grid);
     }
 
@@ -71,14 +141,30 @@ impl Held {
         self.pages.len()
     }
 
-    /// All of them, for Have.
-    pub(super) fn list(&self) -> Vec<Have> {
-        let have = |(&page, parts): (&u64, &Parts)| Have {
+    /// All of them, by key; they count as announced from now on.
+    pub(super) fn announce_all(&mut self) -> Vec<Have> {
+        let mut pages: Vec<u64> = self.pages.keys().copied().collect();
+        pages.sort_unstable();
+        pages
+            .iter()
+            .filter_map(|&page| self.announce(page))
+            .collect()
+    }
+
+    /// A page for Have, if it is here.
+    pub(super) fn announce(&mut self, page: u64) -> Option<Have> {
+        let parts = self.pages.get_mut(&page)?;
+        parts.announced = true;
+        Some(Have {
             page,
             revision: parts.revision,
-            parts: parts.count,
-        };
-        self.pages.iter().map(have).collect()
+            parts: parts.count.saturating_sub(1),
+        })
+    }
+
+    /// Forgets all pages; gives which there were.
+    pub(super) fn clear(&mut self) -> Vec<u64> {
+        self.pages.drain().map(|(page, _)| page).collect()
     }
 }
 

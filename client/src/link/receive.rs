@@ -2,10 +2,11 @@
 
 use super::event::tame;
 use super::flights::Verdict;
-use super::{Event, Link, LinkError, LinkState};
+use super::gate::Gate;
+use super::{Barrier, Event, Link, LinkError, LinkState};
 use escarp_proto::manifest::Manifest;
 use escarp_proto::wire::{
-    Chunk, ErrorCode, Miss, MissReason, PROTOCOL, PeerError, ServerMessage, Welcome,
+    Chunk, ErrorCode, Miss, MissReason, PROTOCOL, PeerError, ServerMessage, Welcome, capability,
 };
 use std::sync::Arc;
 use std::time::Duration;
@@ -40,18 +41,15 @@ impl Link {
         match message {
             ServerMessage::Welcome(welcome) => self.on_welcome(welcome, now)?,
             ServerMessage::Pages(chunks) => {
-                chunks.into_iter().for_each(|chunk| self.on_chunk(chunk))
+                for chunk in chunks {
+                    self.on_chunk(chunk, now);
+                }
             }
             ServerMessage::Miss(miss) => self.on_miss(miss, now),
-            ServerMessage::GenChange { generation, .. } => {
-                self.events.push_latest(Event::GenChange { generation });
-            }
-            ServerMessage::Idle { view_sequence } => {
-                self.events.push_latest(Event::Idle { view_sequence });
-            }
-            // Nothing that may be stale is said to be held before its manifest is the same.
-            ServerMessage::Stale(_) => {}
-            ServerMessage::Pong(number) => self.keep_alive.pong(number, now),
+            ServerMessage::GenChange { manifest, .. } => self.on_gen_change(&manifest, now)?,
+            ServerMessage::Idle { view_sequence } => self.on_idle(view_sequence, now),
+            ServerMessage::Stale(pages) => self.on_stale(&pages),
+            ServerMessage::Pong(number) => self.on_pong(number, now),
             ServerMessage::Error(error) => self.on_refused(&error, now),
         }
         Ok(())
@@ -78,57 +76,157 @@ impl Link {
             });
         }
         let manifest = Manifest::from_json(&welcome.manifest).map_err(LinkError::Manifest)?;
-        let changed = self.manifest.as_deref() != Some(&manifest);
-        if changed {
-            self.forget_pages(&manifest);
-        }
-        let manifest = match self.manifest.take() {
-            Some(same) if !changed => same,
-            _ => Arc::new(manifest),
-        };
-        self.manifest = Some(Arc::clone(&manifest));
         self.limits = welcome.limits;
-        self.open(now);
-        self.events
-            .push_latest(Event::Welcome { manifest, changed });
-        Ok(())
-    }
-
-    fn open(&mut self, now: Duration) {
+        self.push_agreed = self.config.push && welcome.capabilities & capability::PUSH != 0;
         self.state = LinkState::Open { since: now };
         self.trouble = None;
         self.stats.sessions += 1;
         self.keep_alive.start(now);
-        self.outgoing.haves = self.held.list();
+        self.chunk_at = now;
+        let changed = self.manifest.as_deref() != Some(&manifest);
+        if changed {
+            self.start_generation(manifest, |manifest| Event::Welcome {
+                manifest,
+                changed: true,
+            });
+        } else if let Some(manifest) = self.manifest.clone() {
+            self.events
+                .push_latest(Event::Welcome { manifest, changed });
+        }
+        if self.is_pushing() {
+            // What was in flight may come unasked.
+            self.gate = Gate::default();
+            if self.views.is_any() {
+                self.deferred = self.flights.take_untold();
+                self.gate.on_view(now);
+            }
+        }
+        Ok(())
     }
 
-    /// Another dataset, or generation: what is here and was wished for belongs to the old one.
-    fn forget_pages(&mut self, manifest: &Manifest) {
+    /// The server has forgotten what is here, wanted and looked at.
+    fn on_gen_change(&mut self, manifest: &[u8], now: Duration) -> Result<(), LinkError> {
+        let manifest = Manifest::from_json(manifest).map_err(LinkError::Generation)?;
+        self.flights.forget_session();
+        self.views.forget_sent();
+        self.gate.on_view(now);
+        self.idle_at = None;
+        self.start_generation(manifest, |manifest| Event::GenChange { manifest });
+        self.claim_all();
+        Ok(())
+    }
+
+    /// Another dataset, or generation. Pages of before are kept if they may be the same ones.
+    fn start_generation(&mut self, manifest: Manifest, event: impl FnOnce(Arc<Manifest>) -> Event) {
+        let same_places = self.manifest.as_ref().is_some_and(|old| {
+            old.grid_levels == manifest.grid_levels && old.georef == manifest.georef
+        });
+        if !same_places {
+            let gone = self.held.clear();
+            gone.into_iter().for_each(|page| self.claims.evict(page));
+            self.flights.clear();
+        }
         self.held.start(manifest.grid_levels);
-        self.flights.clear();
         self.misses.clear();
-        let dropped = self.events.forget_pages(|_| true);
-        self.credit.taken(dropped);
+        let manifest = Arc::new(manifest);
+        let first = self.manifest.replace(Arc::clone(&manifest)).is_none();
+        self.begin_change(event(manifest));
+        if first {
+            // There is nothing to confirm.
+            (self.confirming, self.barrier) = (false, Barrier::None);
+        }
     }
 
-    fn on_chunk(&mut self, chunk: Chunk) {
+    /// Tells the caller that pages may have changed, and takes back what it has not heard of since
+    /// the last time.
+    fn begin_change(&mut self, event: Event) {
+        let skipped = self.events.push_generation(event);
+        for chunk in &skipped {
+            self.credit.taken(chunk.bytes.len() as u64);
+            self.held.cut(chunk.page, chunk.first_part);
+            self.claim_anew(chunk.page);
+        }
+        self.confirming = true;
+        if self.barrier == Barrier::None || !skipped.is_empty() {
+            self.barrier = Barrier::Due;
+        }
+    }
+
+    fn on_stale(&mut self, pages: &[u64]) {
+        let before = self.held.len();
+        for &page in pages {
+            if self.held.is_stale(page) {
+                self.flights.miss(page);
+            }
+        }
+        if self.held.len() < before
+            && !self.confirming
+            && let Some(manifest) = self.manifest.clone()
+        {
+            // Its manifest says that nothing has changed; pages are not mixed in any case.
+            self.begin_change(Event::GenChange { manifest });
+        }
+    }
+
+    fn on_pong(&mut self, number: u64, now: Duration) {
+        self.keep_alive.pong(number, now);
+        if self.barrier == Barrier::Sent(number) {
+            self.barrier = Barrier::None;
+            self.held.confirm();
+            if std::mem::take(&mut self.confirming) {
+                self.events.push_latest(Event::Confirmed);
+            }
+        }
+    }
+
+    fn on_idle(&mut self, view_sequence: u32, now: Duration) {
+        let newest = view_sequence == self.views.sequence() && !self.view_pending();
+        self.gate.on_idle(newest, now);
+        self.idle_at = Some(now);
+        self.events.push_latest(Event::Idle { view_sequence });
+    }
+
+    fn on_chunk(&mut self, chunk: Chunk, now: Duration) {
         let bytes = chunk.bytes.len() as u64;
         self.stats.page_bytes += bytes;
         self.credit.received(bytes);
-        match self.flights.take(&chunk, &mut self.held) {
+        self.gate.on_chunk(now);
+        (self.idle_at, self.chunk_at) = (None, now);
+        match self.flights.take(&chunk, &mut self.held, now) {
             Verdict::Taken => self.events.push_page(Event::Chunk(chunk)),
-            Verdict::Stray => {
-                self.stats.dropped_chunks += 1;
-                self.credit.taken(bytes);
+            Verdict::Unasked if self.takes_pushed(&chunk) => {
+                self.held.add(&chunk);
+                self.stats.pushed_chunks += 1;
+                self.events.push_page(Event::Chunk(chunk));
             }
-            // The revision of a page does not change within a session, and parts come as asked
+            Verdict::Unasked | Verdict::Stray => self.drop_chunk(&chunk),
+            // The revision of a page does not change within a generation, and parts come as asked
             // for: the server, or the disk below it, is at fault, and asking again would bring
             // the same.
             Verdict::Unusable => {
-                self.stats.dropped_chunks += 1;
-                self.credit.taken(bytes);
+                self.drop_chunk(&chunk);
                 self.lose(chunk.page, MissReason::Damaged);
             }
+        }
+    }
+
+    /// Whether a chunk that was not asked for is of use. What waits is bounded in bytes by the
+    /// credit; chunks of no bytes are bounded in number.
+    fn takes_pushed(&self, chunk: &Chunk) -> bool {
+        let most = self.config.max_in_flight_pages as u64 + self.config.credit_window_bytes / 32;
+        self.is_pushing()
+            && (self.events.pages() as u64) < most
+            && !self.credit.is_overdrawn()
+            && !self.misses.blocks(chunk.page)
+            && self.held.continues(chunk)
+    }
+
+    fn drop_chunk(&mut self, chunk: &Chunk) {
+        self.stats.dropped_chunks += 1;
+        self.credit.taken(chunk.bytes.len() as u64);
+        // The server takes it to be here; of what is here it is right.
+        if chunk.last_part >= self.held.count(chunk.page) {
+            self.claims.note_stray(chunk.page);
         }
     }
 
@@ -145,7 +243,7 @@ impl Link {
     }
 
     /// Only of pages in flight, so that a server cannot fill the memory with others.
-    fn lose(&mut self, page: u64, reason: MissReason) {
+    pub(super) fn lose(&mut self, page: u64, reason: MissReason) {
         if self.flights.miss(page) {
             self.misses.lose(page);
             self.events.push_page(Event::Miss(Miss { page, reason }));

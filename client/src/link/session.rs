@@ -39,6 +39,11 @@ impl Credit {
         self.waiting = self.waiting.saturating_add(bytes);
     }
 
+    /// Whether the server has sent more than it may.
+    pub(super) fn is_overdrawn(&self) -> bool {
+        self.taken.saturating_add(self.waiting) > self.granted
+    }
+
     /// Bytes that were received are done with. Those of an earlier session do not count.
     pub(super) fn taken(&mut self, bytes: u64) {
         let bytes = bytes.min(self.waiting);
@@ -106,6 +111,12 @@ impl KeepAlive {
         self.round_trip_ms = Some(smooth);
     }
 
+    /// A number for a Ping that measures nothing.
+    pub(super) fn next_number(&mut self) -> u64 {
+        self.count += 1;
+        self.count
+    }
+
     pub(super) fn ping_due(&mut self, now: Duration) -> Option<u64> {
         if self.unanswered.is_some() || now < self.next_ping {
             return None;
@@ -126,6 +137,12 @@ impl KeepAlive {
         self.dead_at().unwrap_or(self.next_ping)
     }
 
+    /// The smoothed round trip; zero as long as nothing is known.
+    pub(super) fn round_trip(&self) -> Duration {
+        let ms = self.round_trip_ms.unwrap_or(0.0);
+        Duration::try_from_secs_f64(ms / 1e3).unwrap_or(Duration::ZERO)
+    }
+
     pub(super) fn round_trip_ms(&self) -> Option<f64> {
         self.round_trip_ms
     }
@@ -136,8 +153,8 @@ impl KeepAlive {
 #[derive(Debug)]
 pub(super) struct Views {
     interval: Duration,
-    newest: Option<View>,
-    sent: Option<View>,
+    newest: Option<(View, Scope)>,
+    sent: Option<(View, Scope)>,
     sequence: u32,
     next_at: Duration,
 }
@@ -153,14 +170,26 @@ impl Views {
         }
     }
 
-    pub(super) fn set(&mut self, view: &View) {
-        self.newest = Some(*view);
+    /// Whether it is another view than before.
+    pub(super) fn set(&mut self, view: &View, scope: Scope) -> bool {
+        let newest = Some((*view, scope));
+        std::mem::replace(&mut self.newest, newest) != newest
+    }
+
+    /// Whether there is a view that the server knows, or will know.
+    pub(super) fn is_any(&self) -> bool {
+        self.newest.is_some()
     }
 
     /// A new server knows no view.
     pub(super) fn forget_session(&mut self) {
         self.sent = None;
         self.next_at = Duration::ZERO;
+    }
+
+    /// The server knows no view any more, and is told the newest at its time.
+    pub(super) fn forget_sent(&mut self) {
+        self.sent = None;
     }
 
     /// When the newest view may be sent, if it is not yet.
@@ -170,14 +199,14 @@ impl Views {
 
     pub(super) fn due(&mut self, now: Duration, views_per_second: u32) -> Option<ClientMessage> {
         self.pending_at().filter(|&at| at <= now)?;
-        let view = self.newest?;
+        let newest = self.newest?;
         let allowed = Duration::from_secs(1) / views_per_second.max(1);
         // 0 means "no view", so the count wraps to 1.
         self.sequence = self.sequence.checked_add(1).unwrap_or(1);
-        self.sent = Some(view);
+        self.sent = Some(newest);
         self.next_at = now + self.interval.max(allowed);
         let sequence = self.sequence;
-        let scope = Scope::All;
+        let (view, scope) = newest;
         Some(ClientMessage::View {
             sequence,
             view,

@@ -1,40 +1,29 @@
 //! What the client says, in the order of urgency, and when it has to.
 
-use super::{Link, LinkState};
+use super::gate::patience;
+use super::{Barrier, Link, LinkState};
 use escarp_proto::page::Codec;
-use escarp_proto::wire::{ClientMessage, Have, Hello, MAX_LIST, PROTOCOL};
+use escarp_proto::wire::{ClientMessage, Hello, MAX_LIST, PROTOCOL, capability};
 use std::time::Duration;
 
 /// Items in one message: few enough that the line is soon free for what is more urgent.
 pub(super) const ITEMS_A_MESSAGE: usize = 1024;
 
+/// A server that is at work sends something of it more often.
+const SILENT: Duration = Duration::from_secs(10);
+
 const _: () = assert!(ITEMS_A_MESSAGE <= MAX_LIST);
 
-/// What is to be said, apart from what the flights and the views know themselves.
-#[derive(Debug, Default)]
-pub(super) struct Outgoing {
-    hello: bool,
-    pub(super) haves: Vec<Have>,
-    pub(super) evicts: Vec<u64>,
-}
-
-impl Outgoing {
-    /// Of a session that begins.
-    pub(super) fn greeting() -> Outgoing {
-        Outgoing {
-            hello: true,
-            ..Outgoing::default()
-        }
-    }
-}
-
 impl Link {
-    /// The next message to send, or `None`. Hello first; once the session is open: Have, Credit,
-    /// Evict, Cancel, View, Want, Ping. Lists are cut so that each message is within the
-    /// server's limits.
+    /// The next message to send, or `None`. Hello first, and without waiting for its answer Have
+    /// and View; once the session is open: Credit, Have and Evict, Cancel, View, Want, Ping. Lists
+    /// are cut so that each message is within the server's limits.
     pub fn poll_transmit(&mut self, now: Duration) -> Option<Vec<u8>> {
         let message = match self.state {
-            LinkState::Greeting { .. } => self.next_greeting(),
+            LinkState::Greeting { .. } => self
+                .next_greeting()
+                .or_else(|| self.next_claim())
+                .or_else(|| self.next_view(now)),
             LinkState::Open { .. } => self.next_message(now),
             _ => None,
         }?;
@@ -44,11 +33,15 @@ impl Link {
     }
 
     fn next_greeting(&mut self) -> Option<ClientMessage> {
-        std::mem::take(&mut self.outgoing.hello).then(|| {
+        std::mem::take(&mut self.hello_due).then(|| {
             ClientMessage::Hello(Hello {
                 oldest: PROTOCOL,
                 newest: PROTOCOL,
-                capabilities: 0,
+                capabilities: if self.config.push {
+                    capability::PUSH
+                } else {
+                    0
+                },
                 codecs: Codec::KNOWN,
                 dataset: self.config.dataset.clone(),
                 credit_bytes: self.credit.granted(),
@@ -57,29 +50,66 @@ impl Link {
         })
     }
 
-    /// Have before Evict, and Cancel before Want: each pair may speak of the same page.
+    /// Claims before View and Want, which rest on them; Cancel before Want, which may have the same
+    /// page anew.
     fn next_message(&mut self, now: Duration) -> Option<ClientMessage> {
-        let out = &mut self.outgoing;
-        let views_per_second = self.limits.views_per_second;
-        batch(&mut out.haves)
-            .map(ClientMessage::Have)
+        let credit = self.credit.due();
+        credit
+            .map(|total_bytes| ClientMessage::Credit { total_bytes })
+            .or_else(|| self.next_claim())
             .or_else(|| {
-                let total_bytes = self.credit.due()?;
-                Some(ClientMessage::Credit { total_bytes })
+                let pages = self.flights.poll_cancels(ITEMS_A_MESSAGE)?;
+                Some(ClientMessage::Cancel(pages))
             })
-            .or_else(|| batch(&mut out.evicts).map(ClientMessage::Evict))
-            .or_else(|| {
-                self.flights
-                    .poll_cancels(ITEMS_A_MESSAGE)
-                    .map(ClientMessage::Cancel)
-            })
-            .or_else(|| self.views.due(now, views_per_second))
-            .or_else(|| {
-                self.flights
-                    .poll_wants(ITEMS_A_MESSAGE)
-                    .map(ClientMessage::Want)
-            })
+            .or_else(|| self.next_view(now))
+            .or_else(|| self.next_wants(now))
             .or_else(|| self.keep_alive.ping_due(now).map(ClientMessage::Ping))
+    }
+
+    /// Behind the last Have goes a Ping: its Pong shows that all have been answered.
+    fn next_claim(&mut self) -> Option<ClientMessage> {
+        self.claims.poll(ITEMS_A_MESSAGE).or_else(|| {
+            let due = self.barrier == Barrier::Due;
+            due.then(|| {
+                let number = self.keep_alive.next_number();
+                self.barrier = Barrier::Sent(number);
+                ClientMessage::Ping(number)
+            })
+        })
+    }
+
+    /// Nothing is wanted before it is known what of an older generation is still of use.
+    fn next_wants(&mut self, now: Duration) -> Option<ClientMessage> {
+        if self.confirming {
+            return None;
+        }
+        self.claim_strays();
+        self.next_claim().or_else(|| {
+            let wants = self.flights.poll_wants(ITEMS_A_MESSAGE, now)?;
+            Some(ClientMessage::Want(wants))
+        })
+    }
+
+    fn next_view(&mut self, now: Duration) -> Option<ClientMessage> {
+        let views_per_second = self.limits.views_per_second;
+        // A server would push for it what is of no use.
+        let of_use = self.push_wanted || !self.push_agreed;
+        of_use
+            .then(|| self.views.due(now, views_per_second))
+            .flatten()
+    }
+
+    /// Of pages that are about to be wanted, the server is told first what is really here.
+    fn claim_strays(&mut self) {
+        if !self.claims.has_strays() {
+            return;
+        }
+        let pages: Vec<u64> = self.flights.untold().collect();
+        for page in pages {
+            if self.claims.take_stray(page) {
+                self.claim_anew(page);
+            }
+        }
     }
 
     /// When the link has something to do, since program start, if no message comes and nothing
@@ -90,15 +120,33 @@ impl Link {
             LinkState::Greeting { since } => Some(since + self.config.welcome_timeout),
             LinkState::Open { .. } => {
                 let own = self.keep_alive.next_timeout();
-                let others = [self.views.pending_at(), self.misses.next_timeout()];
+                let gate = (!self.deferred.is_empty())
+                    .then(|| self.gate.opens_at(self.keep_alive.round_trip()))
+                    .flatten();
+                let others = [
+                    self.views.pending_at(),
+                    self.misses.next_timeout(),
+                    self.swallowed_at(),
+                    gate,
+                ];
                 Some(others.into_iter().flatten().fold(own, Duration::min))
             }
             LinkState::Connecting | LinkState::Refused => None,
         }
     }
-}
 
-fn batch<T>(items: &mut Vec<T>) -> Option<Vec<T>> {
-    let from = items.len().saturating_sub(ITEMS_A_MESSAGE);
-    (!items.is_empty()).then(|| items.split_off(from))
+    /// When a page that the server swallowed is asked for again: it has been idle, or has sent no
+    /// chunk, for too long.
+    pub(super) fn swallowed_at(&self) -> Option<Duration> {
+        let (quiet, patience) = self.quiet();
+        self.flights.swallowed_at(quiet, patience)
+    }
+
+    /// Since when the server has done nothing, and how long that may last.
+    pub(super) fn quiet(&self) -> (Duration, Duration) {
+        match self.idle_at {
+            Some(at) => (at, 2 * patience(self.keep_alive.round_trip())),
+            None => (self.chunk_at, SILENT),
+        }
+    }
 }

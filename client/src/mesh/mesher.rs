@@ -8,6 +8,7 @@ use super::quadtree::Quadtree;
 use super::roam::Roam;
 use super::surface::{Index, Surface};
 use escarp_proto::view::View;
+use escarp_proto::wire::Scope;
 use std::fmt::{self, Debug, Display};
 use std::str::FromStr;
 use thiserror::Error;
@@ -239,6 +240,23 @@ impl MeshOptions {
     pub(super) fn morph(&self) -> Option<Morph> {
         let tested = self.mesher.keeps_tolerance() && self.metric == Metric::Bounding;
         Morph::of(self.morph).filter(|_| tested)
+    }
+
+    /// The view that triangles are really tested by, for one that is looked at: a morph needs a
+    /// narrower tolerance.
+    pub fn tested(&self, view: &View) -> View {
+        self.morph().map_or(*view, |morph| morph.tested(view))
+    }
+
+    /// What of the terrain the mesh can use, if what it needs for a view is what
+    /// `escarp_proto::select` finds: the pages of the quadtree by the bounding metric. `None` for
+    /// the others.
+    pub fn scope(&self) -> Option<Scope> {
+        let selects = self.mesher == MesherKind::Quadtree && self.metric == Metric::Bounding;
+        selects.then_some(match self.cull {
+            true => Scope::InView,
+            false => Scope::All,
+        })
     }
 
     pub(super) fn mesher(&self) -> Box<dyn Mesher> {

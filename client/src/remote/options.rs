@@ -12,6 +12,8 @@ pub struct ClientOptions {
     pub memory_cap_bytes: usize,
     /// How it meshes.
     pub mesh: MeshOptions,
+    /// Whether the server may send what is needed unasked, if it can and the mesher goes along.
+    pub push: bool,
     /// Most milliseconds a frame of updating, triangulating and uploading: the tolerance follows.
     pub max_ms: Option<f64>,
     /// How long a step may take. Pages for which there is no time wait for the next one; at least
@@ -24,6 +26,7 @@ impl Default for ClientOptions {
         ClientOptions {
             memory_cap_bytes: DEFAULT_MEMORY_BYTES,
             mesh: MeshOptions::default(),
+            push: true,
             max_ms: None,
             frame_budget: None,
         }

@@ -179,7 +179,7 @@ fn a_page_that_contradicts_is_wanted_from_its_first_part_once_more_and_then_miss
     // Parts that do not begin at the first are of no use, nor are no more than are here.
     terrain.receive(chunk(&truth, 3, 4));
     let step = terrain.update(&view());
-    assert_eq!((step.dropped, step.refused), (vec![id], vec![]));
+    assert_eq!((step.orphans, step.refused), (vec![id], vec![]));
     terrain.receive(chunk(&lie, 0, 4));
     let step = terrain.update(&view());
     let [refusal] = &step.refused[..] else {

@@ -56,6 +56,13 @@ pub fn implied_slot(
     Some(cell_slot(corners, levels_below(id, grid) + 1))
 }
 
+/// What a parent can say of a cell below which nothing is to be stored, from the cell's corners
+/// (south-west, south-east, north-west, north-east) and how many levels of pages hang below it:
+/// flat, or cut.
+pub fn implied_cell(corners: [i32; 4], levels: u8) -> ChildSlot {
+    cell_slot(corners.map(i64::from), levels)
+}
+
 /// Levels of pages below a page.
 fn levels_below(id: PageId, grid: GridLevels) -> u8 {
     grid.finest_page_level().saturating_sub(id.level()) / PAGE_LEVELS

@@ -15,7 +15,7 @@ mod record;
 
 pub use bounds::{Bounds, BoxError, SquareErrors, square_index};
 pub use codec1::{CodedBits, SymbolCounts};
-pub use flat::{implied_heights, implied_slot};
+pub use flat::{implied_cell, implied_heights, implied_slot};
 pub use record::{Codec, Record, RecordHeader, RevisionDigest, revision};
 
 use crate::err8::Err8;

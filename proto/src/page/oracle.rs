@@ -157,7 +157,7 @@ fn codecs() -> impl Strategy<Value = Codec> {
     prop_oneof![Just(Codec::Plain), Just(Codec::Dense)]
 }
 
-fn whole_page() -> impl Strategy<Value = Page> {
+pub(crate) fn whole_page() -> impl Strategy<Value = Page> {
     let samples = prop_oneof![terrain(), holed()];
     (samples, prop::option::of(slots()))
         .prop_map(|(samples, slots)| Page::new(page_id(), &samples, slots).unwrap())

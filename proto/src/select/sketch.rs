@@ -21,8 +21,9 @@ pub struct Sketch {
     pub(super) whole: bool,
     pub(super) has_holes: bool,
     pub(super) steps: Steps,
-    /// While only parts `1..=k` have arrived: the bound of each square of level `k`, by `k - 1`.
-    pub(super) rest: [u16; PAGE_LEVELS as usize],
+    /// While only parts `1..=k` have arrived: the bound of each square of level `k`, by `k`. Where
+    /// outlines cross the page, of each square of any level that has come.
+    pub(super) rest: [u16; PAGE_LEVELS as usize + 1],
     /// Bounds of edge triangles, by [`Edge`](crate::geometry::Edge), then by square.
     pub(super) edges: [[u16; PAGE_SQUARES]; 4],
     /// Of the two halves of squares.
@@ -116,16 +117,16 @@ impl Cells {
     }
 }
 
-/// What stands for each cell while only parts `1..=k` are here, by `k - 1`.
+/// What stands for each cell while only parts `1..=k` are here, by `k`.
 fn rest(
     page: &Page,
     promise: Option<BoxError>,
     grid: GridLevels,
     georef: &Georef,
-) -> [u16; PAGE_LEVELS as usize] {
+) -> [u16; PAGE_LEVELS as usize + 1] {
     std::array::from_fn(|i| {
-        let part = i as u8 + 1;
-        if part > page.depth() {
+        let part = i as u8;
+        if part > page.depth() || part == 0 && !page.has_holes() {
             return 0;
         }
         let told = page.slot_until(part);

@@ -1,6 +1,6 @@
 //! Downwards: which triangles and cells of a page are beyond the tolerance.
 
-use super::limits::{Axis, limit, rows, squares};
+use super::limits::{Axis, limit, limit_with, rows, squares};
 use super::marks::Marks;
 use super::sketch::{Sketch, first};
 use super::{Known, NONE, PART_COUNTS, PageKind, Scope, Seen, Selection, below};
@@ -45,13 +45,13 @@ struct Heights<'a> {
 }
 
 /// What the tests of a page found.
-struct Found {
-    parts: u8,
-    guessed: bool,
+pub(super) struct Found {
+    pub(super) parts: u8,
+    pub(super) guessed: bool,
     excess: [f32; PART_COUNTS],
-    marks: Marks,
+    pub(super) marks: Marks,
     /// Cells that are beyond the tolerance, by row.
-    cells: [u16; PAGE_CELLS],
+    pub(super) cells: [u16; PAGE_CELLS],
 }
 
 impl Selection {
@@ -149,6 +149,12 @@ impl<'a> Pass<'a> {
         Pass { grid, sight, scope }
     }
 
+    /// What the tests find of a page that is stored.
+    #[cfg(test)]
+    pub(super) fn find_in(&self, id: PageId, sketch: &Sketch) -> Found {
+        self.find(id, sketch, &self.around(id, sketch), true)
+    }
+
     fn around(&self, id: PageId, sketch: &Sketch) -> Around {
         let tests = &self.sight.tests;
         let (x, y) = self.grid.page_origin(id);
@@ -204,17 +210,15 @@ impl<'a> Pass<'a> {
             cells: [0; PAGE_CELLS],
         };
         found.marks.centres[0] = 1;
-        // What stands for the parts that a client has not.
-        let mut more = 0.0;
+        // What stands for the parts that a client has not, though they are known here.
+        let mut rest = None;
         if is_stored {
             let known = sketch.parts.min(last);
             for part in 1..last.min(known + 1) {
-                let code = sketch.rest[usize::from(part) - 1];
+                let code = sketch.rest[usize::from(part)];
                 if !around.any_fails(sketch, part, code) {
                     found.parts = part;
-                    if part < known {
-                        more = metres(code);
-                    }
+                    rest = (part < known).then_some(code);
                     break;
                 }
                 found.excess[usize::from(part)] = metres(code) / nearest;
@@ -226,20 +230,29 @@ impl<'a> Pass<'a> {
             }
         }
         let depth = found.parts.min(sketch.parts).min(PAGE_LEVELS);
-        let heights = around.heights(sketch, more * around.metre);
-        let columns = Axis::new(&around.columns, more);
-        let rows = Axis::new(&around.rows, more);
-        let limits = heights.as_ref().map(|heights| heights.limits(more));
-        let axes = (&columns, &rows);
-        mark::<1>(sketch, axes, limits.as_ref(), 0, &mut found.marks);
+        let heights = around.heights(sketch, rest.map_or(0.0, |rest| around.wider(rest)));
+        let outlines = rest.is_some() && sketch.has_holes;
+        let more = rest.filter(|_| !outlines).map_or(0.0, metres);
+        let (columns, rows) = (
+            Axis::new(&around.columns, more),
+            Axis::new(&around.rows, more),
+        );
+        let level = Level {
+            sketch,
+            columns: &columns,
+            rows: &rows,
+            heights: heights.as_ref().map(|heights| heights.limits(more)),
+            outlines,
+        };
+        level.mark::<1>(0, &mut found.marks);
         if depth > 1 {
-            mark::<2>(sketch, axes, limits.as_ref(), 1, &mut found.marks);
+            level.mark::<2>(1, &mut found.marks);
         }
         if depth > 2 {
-            mark::<4>(sketch, axes, limits.as_ref(), 2, &mut found.marks);
+            level.mark::<4>(2, &mut found.marks);
         }
         if depth > 3 {
-            mark::<8>(sketch, axes, limits.as_ref(), 3, &mut found.marks);
+            level.mark::<8>(3, &mut found.marks);
         }
         if found.parts > PAGE_LEVELS
             && let Some(cells) = &sketch.cells
@@ -253,30 +266,42 @@ impl<'a> Pass<'a> {
     }
 }
 
-/// Marks what fails among the squares of a level.
-fn mark<const N: usize>(
-    sketch: &Sketch,
-    (columns, rows): (&Axis, &Axis),
-    heights: Option<&[u16; PAGE_SQUARES]>,
-    level: u8,
-    marks: &mut Marks,
-) {
-    let at = first(level)..first(level) + N * N;
-    let (x, y) = (columns.halves::<N>(), rows.halves::<N>());
-    let heights = heights.map(|heights| &heights[at.clone()]);
-    let edges = [
-        (&x.upper, &y.whole),
-        (&x.whole, &y.upper),
-        (&x.lower, &y.whole),
-        (&x.whole, &y.lower),
-    ];
-    for (edge, (x, y)) in edges.into_iter().enumerate() {
-        let codes = &sketch.edges[edge][at.clone()];
-        marks.edges[usize::from(level)][edge] |= squares(codes, x, y, heights);
-    }
-    if level > 0 {
-        let codes = &sketch.halves[at];
-        marks.centres[usize::from(level)] |= squares(codes, &x.whole, &y.whole, heights);
+/// What the squares of a page are held against.
+struct Level<'a> {
+    sketch: &'a Sketch,
+    columns: &'a Axis,
+    rows: &'a Axis,
+    heights: Option<[u16; PAGE_SQUARES]>,
+    /// Outlines may be anywhere, for all that is known.
+    outlines: bool,
+}
+
+impl Level<'_> {
+    /// Marks what fails among the squares of a level.
+    fn mark<const N: usize>(&self, level: u8, marks: &mut Marks) {
+        let at = first(level)..first(level) + N * N;
+        let (x, y) = (self.columns.halves::<N>(), self.rows.halves::<N>());
+        let heights = self.heights.as_ref().map(|heights| &heights[at.clone()]);
+        let rest = [self.sketch.rest[usize::from(level)]; PAGE_SQUARES];
+        let codes = |known: &'_ [u16; PAGE_SQUARES]| match self.outlines {
+            true => rest,
+            false => *known,
+        };
+        let edges = [
+            (&x.upper, &y.whole),
+            (&x.whole, &y.upper),
+            (&x.lower, &y.whole),
+            (&x.whole, &y.lower),
+        ];
+        for (edge, (x, y)) in edges.into_iter().enumerate() {
+            let codes = codes(&self.sketch.edges[edge]);
+            marks.edges[usize::from(level)][edge] |= squares(&codes[at.clone()], x, y, heights);
+        }
+        if level > 0 {
+            let codes = codes(&self.sketch.halves);
+            let found = squares(&codes[at], &x.whole, &y.whole, heights);
+            marks.centres[usize::from(level)] |= found;
+        }
     }
 }
 
@@ -293,6 +318,16 @@ impl Around {
     fn above(&self, [lo, hi]: [u8; 2]) -> f32 {
         let height = |code: u8| self.base + self.step * f32::from(code);
         (height(lo).max(-height(hi)) - self.slack).max(0.0)
+    }
+
+    /// By how much heights may be farther out while this bound is what is believed: by the bound,
+    /// and by a step of the codes that they have then.
+    fn wider(&self, code: u16) -> f32 {
+        if code == 0 {
+            return 0.0;
+        }
+        let bound = metres(code) * self.metre;
+        bound + (255.0 * self.step + 2.0 * bound) * (2.0 / 253.0)
     }
 
     /// How far the page is, at least.
@@ -316,7 +351,7 @@ impl Around {
 
     /// Whether any square of a level fails if each has this bound, and nothing finer is known.
     fn any_fails(&self, sketch: &Sketch, level: u8, code: u16) -> bool {
-        let wider = metres(code) * self.metre;
+        let wider = self.wider(code);
         let Some(heights) = self.heights(sketch, wider) else {
             return code >= limit(self.flat);
         };
@@ -381,6 +416,6 @@ impl Heights<'_> {
     fn limit(&self, lo: u8, hi: u8, more: f32) -> u16 {
         let height = |code: u8| self.around.base + self.around.step * f32::from(code);
         let away = height(lo).max(-height(hi)) - self.around.slack;
-        limit((away - self.wider).max(0.0) - more)
+        limit_with((away - self.wider).max(0.0), more)
     }
 }

@@ -5,20 +5,24 @@ mod conditions;
 mod cors;
 mod data;
 mod describe;
+mod heights;
 mod problem;
 mod service;
 
+use crate::access::{Caller, Gate, guard};
 use crate::catalog::{Catalog, Hosted};
+use crate::health::{self, Health};
+use crate::limits::Limits;
 use crate::socket::{self, Sessions};
-use axum::Router;
-use axum::extract::{Path, Request, State};
+use axum::extract::{Extension, Path, Request, State};
 use axum::http::{HeaderMap, Method, StatusCode, header};
 use axum::middleware::map_response;
 use axum::response::{IntoResponse, Json, Response};
 use axum::routing::get;
+use axum::{Router, middleware};
 use describe::{Dataset, Datasets};
 pub(crate) use problem::Problem;
-pub(crate) use service::{Door, Service};
+pub(crate) use service::Service;
 use std::sync::Arc;
 
 /// What every handler needs.
@@ -26,8 +30,11 @@ use std::sync::Arc;
 pub(crate) struct App {
     pub catalog: Arc<Catalog>,
     pub sessions: Sessions,
-    /// What is asked before an answer goes past the router. Without one, everything is open.
-    pub door: Option<Arc<dyn Door>>,
+    pub gate: Arc<Gate>,
+    pub health: Arc<Health>,
+    /// Whether `/metrics` is here, and not on an address of its own.
+    pub counted: bool,
+    pub limits: Arc<Limits>,
 }
 
 impl App {
@@ -43,9 +50,10 @@ impl App {
 
 /// All addresses.
 pub(crate) fn router(app: App) -> Router {
+    let gate = app.gate.clone();
     Router::new()
+        .merge(health::routes(app.counted))
         .route("/", get(welcome))
-        .route("/healthz", get(async || "ok\n"))
         .route("/datasets", get(datasets))
         .route("/session", get(socket::upgrade))
         .route("/{name}", get(dataset))
@@ -56,13 +64,19 @@ pub(crate) fn router(app: App) -> Router {
         .route("/{name}/{generation}/manifest", get(data::data))
         .route("/{name}/{generation}/page/{level}/{x}/{y}", get(data::data))
         .route("/{name}/{generation}/pack/{level}/{x}/{y}", get(data::data))
+        .merge(heights::routes(&app.limits.heights))
         .fallback(unknown)
         .method_not_allowed_fallback(wrong_method)
         .layer(map_response(cors::labelled))
         .with_state(app)
+        .layer(middleware::from_fn_with_state(gate, guard))
 }
 
-async fn welcome(State(app): State<App>, headers: HeaderMap) -> String {
+async fn welcome(
+    State(app): State<App>,
+    Extension(caller): Extension<Caller>,
+    headers: HeaderMap,
+) -> String {
     let host = host(&headers);
     let mut text = format!(
         "This is an Escarp terrain server.\n\n\
@@ -72,6 +86,9 @@ async fn welcome(State(app): State<App>, headers: HeaderMap) -> String {
          Datasets:\n"
     );
     for name in app.catalog.names() {
+        if !caller.sees(&name) {
+            continue;
+        }
         text += &format!(
             "  http://{host}/{}\n",
             crate::catalog::percent_encoded(&name)
@@ -80,11 +97,19 @@ async fn welcome(State(app): State<App>, headers: HeaderMap) -> String {
     text
 }
 
-async fn datasets(State(app): State<App>, headers: HeaderMap) -> Json<Datasets> {
+async fn datasets(
+    State(app): State<App>,
+    Extension(caller): Extension<Caller>,
+    headers: HeaderMap,
+) -> Json<Datasets> {
     let host = host(&headers);
     let describe = |hosted: &Arc<Hosted>| Dataset::of(hosted, host);
     Json(Datasets {
-        datasets: app.catalog.all().iter().map(describe).collect(),
+        datasets: {
+            let all = app.catalog.all();
+            let seen = all.iter().filter(|hosted| caller.sees(hosted.name()));
+            seen.map(describe).collect()
+        },
     })
 }
 
@@ -109,14 +134,19 @@ async fn wrong_method(method: Method) -> Response {
     if method == Method::OPTIONS {
         return cors::options();
     }
+    not_allowed(&method, cors::METHODS)
+}
+
+/// Status 405, with the methods that there are.
+fn not_allowed(method: &Method, allowed: &'static str) -> Response {
     let problem = Problem {
-        allowed: cors::METHODS.split(", ").map(Into::into).collect(),
+        allowed: allowed.split(", ").map(Into::into).collect(),
         ..Problem::plain(
             StatusCode::METHOD_NOT_ALLOWED,
-            format!("this server does not {method}"),
+            format!("this address does not {method}"),
         )
     };
-    ([(header::ALLOW, cors::METHODS)], problem).into_response()
+    ([(header::ALLOW, allowed)], problem).into_response()
 }
 
 /// The server's host and port as the client addressed it.

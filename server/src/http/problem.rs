@@ -6,9 +6,11 @@ use axum::response::{IntoResponse, Json, Response};
 use serde::Serialize;
 
 /// The addresses of the server, for those who took a wrong one.
-const ADDRESSES: [&str; 11] = [
+const ADDRESSES: [&str; 13] = [
     "/",
     "/healthz",
+    "/readyz",
+    "/metrics",
     "/datasets",
     "/{name}",
     "/{name}/current",
@@ -41,11 +43,15 @@ pub(crate) struct Problem {
 impl Problem {
     /// Status 404: there is no such address.
     pub(super) fn unknown(app: &App, path: &str) -> Problem {
+        // Those that need a token are not told to those who might have none.
+        let access = app.gate.access();
+        let names = app.catalog.names().into_iter();
+        let open = names.filter(|name| !access.needs_token(name));
         Problem {
             status: StatusCode::NOT_FOUND,
             error: format!("there is no {path} here"),
             allowed: ADDRESSES.map(Into::into).into(),
-            datasets: app.catalog.names(),
+            datasets: open.collect(),
             current: None,
         }
     }

@@ -3,28 +3,24 @@
 
 use super::{App, data, router};
 use axum::Router;
-use axum::http::{HeaderMap, Request};
+use axum::body::HttpBody;
+use axum::http::Request;
 use axum::response::Response;
 use futures_util::future::Either;
 use hyper::body::Incoming;
 use hyper_util::service::{TowerToHyperService, TowerToHyperServiceFuture};
 use std::convert::Infallible;
 use std::future::{Ready, ready};
+use std::time::Instant;
 
-/// Whether a request may be answered on the spot, past whatever the router is wrapped in.
-pub(crate) trait Door: Send + Sync {
-    /// Whether everyone may have this path's content now, from every web page: the answer will
-    /// say `public`, and `Access-Control-Allow-Origin: *`.
-    fn is_open(&self, path: &str, headers: &HeaderMap) -> bool;
-
-    /// A request was answered.
-    fn answered(&self, status: u16, bytes: u64);
-}
+/// What is answered on the spot has no route of the router's; so it is counted.
+const AT_ONCE: &str = "at once";
 
 /// Answers a connection's requests.
 #[derive(Clone)]
 pub(crate) struct Service {
-    app: App,
+    /// What can be answered on the spot.
+    app: Option<App>,
     router: TowerToHyperService<Router>,
 }
 
@@ -32,20 +28,30 @@ impl Service {
     pub(crate) fn new(app: App) -> Service {
         Service {
             router: TowerToHyperService::new(router(app.clone())),
-            app,
+            app: Some(app),
+        }
+    }
+
+    /// All of it by a router.
+    pub(crate) fn of(router: Router) -> Service {
+        Service {
+            app: None,
+            router: TowerToHyperService::new(router),
         }
     }
 
     fn at_once(&self, request: &Request<Incoming>) -> Option<Response> {
-        let door = self.app.door.as_deref();
-        if !door.is_none_or(|door| door.is_open(request.uri().path(), request.headers())) {
+        let app = self.app.as_ref()?;
+        let began = Instant::now();
+        if !app.gate.lets_pass(request) {
             return None;
         }
-        let response = data::at_once(&self.app, request)?;
-        if let Some(door) = door {
-            let bytes = axum::body::HttpBody::size_hint(response.body());
-            door.answered(response.status().as_u16(), bytes.lower());
-        }
+        let response = data::at_once(app, request)?;
+        let bytes = response.body().size_hint().lower();
+        let status = response.status().as_u16();
+        let took = began.elapsed();
+        let metrics = &app.gate.metrics;
+        metrics.request_answered(Some(AT_ONCE), status, bytes, took);
         Some(response)
     }
 }

@@ -40,8 +40,6 @@ reasons! {
         NoDataset = "no_dataset",
         /// No common protocol version or codec.
         Version = "version",
-        /// No WebSocket, or no Hello in time.
-        Protocol = "protocol",
     }
 }
 
@@ -52,9 +50,9 @@ reasons! {
         Client = "client",
         /// The connection was lost.
         Lost = "lost",
-        /// The client was silent, or did not read.
-        Timeout = "timeout",
-        /// The client broke the protocol, or a limit.
+        /// The client came to a limit, such as that of silence.
+        Limit = "limit",
+        /// The client broke the protocol.
         Protocol = "protocol",
         /// The server went down.
         Shutdown = "shutdown",

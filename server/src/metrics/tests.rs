@@ -1,7 +1,6 @@
 //! The text holds to the rules of the format (OpenMetrics 1.0, section 4), and says what happened.
 
 use super::*;
-use crate::tests::fake::FakeSource;
 use std::collections::BTreeSet;
 
 /// Checks the format line by line, and gives the samples: name with labels, value.
@@ -31,17 +30,19 @@ pub(crate) fn samples(text: &str) -> BTreeMap<String, f64> {
     found
 }
 
-fn catalog(name: &str) -> Catalog {
-    let catalog = Catalog::default();
-    catalog.add(name, FakeSource::shared()).unwrap();
-    catalog
+fn moon(dataset: &str) -> [Stand; 1] {
+    [Stand {
+        dataset: dataset.into(),
+        generation: 3,
+        pages: 5,
+    }]
 }
 
 #[test]
 fn the_text_keeps_the_rules_of_the_format_and_counters_rise() {
     let metrics = Metrics::new();
-    let catalog = catalog("moon");
-    let before = samples(&metrics.render(&catalog).unwrap());
+    let moon = moon("moon");
+    let before = samples(&metrics.render(&moon).unwrap());
     assert_eq!(before["escarp_sessions_total"], 0.0);
     assert_eq!(before["escarp_dataset_generation{dataset=\"moon\"}"], 3.0);
     metrics.sessions.inc();
@@ -54,7 +55,7 @@ fn the_text_keeps_the_rules_of_the_format_and_counters_rise() {
     metrics.request_answered(Some("/{name}/manifest"), 200, 70, took);
     metrics.request_answered(Some("/{name}/manifest"), 200, 30, took);
     metrics.request_answered(None, 404, 10, took);
-    let after = samples(&metrics.render(&catalog).unwrap());
+    let after = samples(&metrics.render(&moon).unwrap());
     let is = |name: &str, value: f64| assert_eq!(after.get(name), Some(&value), "{name}");
     is("escarp_sessions_total", 1.0);
     is("escarp_sessions_refused_total{reason=\"full\"}", 1.0);
@@ -81,7 +82,7 @@ fn the_text_keeps_the_rules_of_the_format_and_counters_rise() {
 
 #[test]
 fn a_name_with_quotes_and_backslashes_is_one_label() {
-    let text = Metrics::new().render(&catalog("a\"b\\c")).unwrap();
+    let text = Metrics::new().render(&moon("a\"b\\c")).unwrap();
     let line = "escarp_dataset_generation{dataset=\"a\\\"b\\\\c\"} 3";
     assert!(text.lines().any(|found| found == line), "{text}");
 }
@@ -101,7 +102,7 @@ fn shares_sum_up_and_leave_nothing_behind() {
 #[cfg(target_os = "linux")]
 #[test]
 fn the_process_is_described() {
-    let found = samples(&Metrics::new().render(&catalog("moon")).unwrap());
+    let found = samples(&Metrics::new().render(&moon("moon")).unwrap());
     assert!(found["process_resident_memory_bytes"] > 1e6);
     assert!(found["process_open_fds"] >= 3.0);
     assert!(found["process_max_fds"] >= found["process_open_fds"]);

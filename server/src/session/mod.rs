@@ -24,6 +24,7 @@ mod views;
 #[cfg(test)]
 mod tests;
 
+use crate::access::{Caller, Denied};
 use crate::catalog::{Catalog, Hosted};
 use crate::limits::Limits;
 use crate::published::Published;
@@ -44,6 +45,7 @@ use std::time::Duration;
 pub struct Session {
     catalog: Arc<Catalog>,
     limits: Limits,
+    caller: Caller,
     heard: Duration,
     hosted: Option<Arc<Hosted>>,
     stats_at_end: Option<SessionStats>,
@@ -75,11 +77,19 @@ impl Session {
         Session {
             catalog,
             limits,
+            caller: Caller::default(),
             heard: Duration::ZERO,
             hosted: None,
             stats_at_end: None,
             state: State::Opening,
         }
+    }
+
+    /// The same for a caller who may not see everything. Its Hello may have another token.
+    #[must_use]
+    pub fn for_caller(mut self, caller: Caller) -> Session {
+        self.caller = caller;
+        self
     }
 
     /// Handles a binary message. After the end, does nothing.
@@ -131,7 +141,7 @@ impl Session {
     }
 
     /// The dataset that a Hello names, if both sides can talk about it.
-    fn dataset_of(&self, hello: &Hello) -> Result<Arc<Hosted>, PeerError> {
+    fn dataset_of(&mut self, hello: &Hello) -> Result<Arc<Hosted>, PeerError> {
         if !(hello.oldest..=hello.newest).contains(&PROTOCOL) {
             let text = format!(
                 "protocol versions {}..={}, this server speaks {PROTOCOL}",
@@ -139,9 +149,13 @@ impl Session {
             );
             return Err(PeerError::new(ErrorCode::Version, text));
         }
+        self.caller = self.caller.clone().with_token(hello.token.as_deref());
+        // What is denied must not depend on whether there is such a dataset.
+        self.caller.check(&hello.dataset).map_err(denied)?;
         let Some(hosted) = self.catalog.meant(&hello.dataset) else {
             return Err(PeerError::new(ErrorCode::NoDataset, self.names()));
         };
+        self.caller.check(hosted.name()).map_err(denied)?;
         let codec = hosted.source().manifest().codec;
         if !knows(hello.codecs, codec) {
             let text = format!(
@@ -157,7 +171,9 @@ impl Session {
     /// The names of the datasets, one a line, as many as fit an error's text.
     fn names(&self) -> String {
         let mut text = String::new();
-        for name in self.catalog.names() {
+        let mut names = self.catalog.names();
+        names.retain(|name| self.caller.sees(name));
+        for name in names {
             let line = if text.is_empty() { "" } else { "\n" };
             if text.len() + line.len() + name.len() > MAX_TEXT {
                 break;
@@ -303,4 +319,13 @@ impl Session {
             State::Opening | State::Closed { .. } => SessionStats::default(),
         })
     }
+}
+
+fn denied(why: Denied) -> PeerError {
+    let text = match why {
+        Denied::NoToken => "this dataset needs a token",
+        Denied::WrongToken => "the token does not open this dataset",
+        Denied::Origin => "web pages of this origin may not use this dataset",
+    };
+    PeerError::new(ErrorCode::Denied, text)
 }

@@ -69,9 +69,9 @@ pub(super) struct Open {
 impl Open {
     pub(super) fn new(published: Arc<Published>, hello: &Hello, limits: &Limits) -> Open {
         let count = |limit: usize| u32::try_from(limit).unwrap_or(u32::MAX);
-        let offered = match limits.push {
-            true => capability::KNOWN,
-            false => capability::KNOWN & !capability::PUSH,
+        let offered = match limits.pushed_pages {
+            0 => capability::KNOWN & !capability::PUSH,
+            _ => capability::KNOWN,
         };
         Open {
             published,
@@ -117,6 +117,7 @@ impl Open {
         SessionStats {
             waiting: (self.queue.len() + self.pushes.len()) as u64,
             held_pages: self.held.len() as u64,
+            is_stalled: self.stalled,
             ..self.stats
         }
     }
@@ -466,6 +467,7 @@ impl Open {
         debug_assert!(self.sent_bytes <= self.allowed_bytes);
         self.held.sent(page, chunk.first_part, chunk.last_part);
         let stats = &mut self.stats;
+        stats.pieces += 1;
         match next {
             Next::Wanted(_) => stats.wanted_bytes += bytes,
             Next::Pushed(Piece {

@@ -25,4 +25,20 @@ pub struct SessionStats {
     pub waiting: u64,
     /// Pages that the client has, now.
     pub held_pages: u64,
+    /// Chunks sent.
+    pub pieces: u64,
+    /// The most urgent chunk waits for credit, now.
+    pub is_stalled: bool,
+}
+
+impl SessionStats {
+    /// Bytes of parts that were sent.
+    pub fn sent_bytes(&self) -> u64 {
+        self.wanted_bytes + self.pushed_bytes + self.predicted_bytes
+    }
+
+    /// Mean length of a chunk; 0 before the first.
+    pub fn bytes_a_piece(&self) -> u64 {
+        self.sent_bytes().checked_div(self.pieces).unwrap_or(0)
+    }
 }

@@ -7,8 +7,10 @@
 use super::Phase;
 use super::early::Early;
 use super::outgoing::Outgoing;
+use super::tally::Tally;
 use crate::catalog::Stand;
 use crate::limits::Limits;
+use crate::metrics::Metrics;
 use crate::session::{CloseReason, Session};
 use axum::body::Bytes;
 use axum::extract::ws::{CloseFrame, Message, WebSocket, close_code};
@@ -22,14 +24,15 @@ use tokio::time::{Instant, sleep_until, timeout};
 /// Longest text of a close frame, bytes (RFC 6455, section 5.5, less the code).
 const CLOSE_TEXT: usize = 123;
 
-/// Serves a session to its end.
+/// Serves a session to its end; `None` if its connection was lost.
 pub(super) async fn drive(
     socket: WebSocket,
     session: Session,
     early: Early,
     limits: &Limits,
     phase: watch::Receiver<Phase>,
-) {
+    metrics: &Metrics,
+) -> Option<CloseReason> {
     tracing::debug!("opened");
     let (sink, incoming) = socket.split();
     let now = Instant::now();
@@ -42,16 +45,23 @@ pub(super) async fn drive(
         limits,
         phase,
         stand: None,
+        tally: Tally::new(metrics),
         started: now,
         heard: now,
         pinged: now,
     };
     match driver.run().await {
         End::Closed(reason) => {
-            tracing::info!(?reason, "closed");
+            let totals = driver.totals();
+            tracing::info!(?reason, took = ?now.elapsed(), totals, "closed");
             driver.farewell(&reason).await;
+            Some(reason)
         }
-        End::Lost(why) => tracing::info!(why, "lost"),
+        End::Lost(why) => {
+            let totals = driver.totals();
+            tracing::info!(why, took = ?now.elapsed(), totals, "lost");
+            None
+        }
     }
 }
 
@@ -76,6 +86,7 @@ struct Driver<'a> {
     phase: watch::Receiver<Phase>,
     /// Of the dataset that is looked at, once there is one.
     stand: Option<watch::Receiver<Stand>>,
+    tally: Tally<'a>,
     started: Instant,
     heard: Instant,
     pinged: Instant,
@@ -95,6 +106,21 @@ impl Driver<'_> {
         }
     }
 
+    /// What the session came to, in a line of the log.
+    fn totals(&self) -> String {
+        let stats = self.session.as_ref().map(Session::stats);
+        let stats = stats.unwrap_or_default();
+        format!(
+            "{} bytes: {} pushed, {} wanted, {} ahead, {} again; {} views",
+            stats.sent_bytes(),
+            stats.pushed_bytes,
+            stats.wanted_bytes,
+            stats.predicted_bytes,
+            stats.repeated_bytes,
+            stats.views
+        )
+    }
+
     /// Handles what came with the handshake, as far as the session takes it.
     fn begin(&mut self) {
         let now = self.now();
@@ -112,8 +138,9 @@ impl Driver<'_> {
         if self.outgoing.since().is_some() {
             return Ok(());
         }
-        let (session, message) = next_message(self.session.take()).await?;
+        let (session, message, read) = next_message(self.session.take()).await?;
         let reason = session.close_reason().cloned();
+        self.tally.note(&session.stats(), read, self.now());
         self.session = Some(session);
         match (message, reason) {
             (Some(message), _) => self.outgoing.start(Message::Binary(message.into())),
@@ -209,7 +236,10 @@ impl Driver<'_> {
         let stand = stand.map(|stand| stand.borrow_and_update().clone());
         if let (Some(stand), Some(session)) = (stand, self.session()) {
             match stand.hosted {
-                true => session.handle_publication(stand.published),
+                true => {
+                    session.handle_publication(stand.published);
+                    self.tally.generation_changed();
+                }
                 false => session.handle_removal(),
             }
         }
@@ -261,18 +291,22 @@ impl Driver<'_> {
     }
 }
 
+/// A session, its next message, and how long reading records for it took.
+type Next = (Session, Option<Vec<u8>>, Option<Duration>);
+
 /// The session's next message, read on the blocking pool if records are needed.
-async fn next_message(session: Option<Session>) -> Result<(Session, Option<Vec<u8>>), End> {
+async fn next_message(session: Option<Session>) -> Result<Next, End> {
     let Some(mut session) = session else {
         return Err(End::Lost("a record could not be read".into()));
     };
     let control = session.poll_control();
     if control.is_some() || !session.has_pages() {
-        return Ok((session, control));
+        return Ok((session, control, None));
     }
     let read = tokio::task::spawn_blocking(move || {
+        let began = Instant::now();
         let message = session.poll_message();
-        (session, message)
+        (session, message, Some(began.elapsed()))
     });
     read.await
         .map_err(|error| End::Lost(format!("reading records: {error}")))

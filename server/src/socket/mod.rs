@@ -3,22 +3,29 @@
 mod drive;
 mod early;
 mod outgoing;
+mod tally;
 
+use crate::access::{Caller, too_many};
 use crate::http::{App, Problem};
 use crate::limits::{Limits, SOCKET_MESSAGE_BYTES};
+use crate::metrics::{Refusal, Share};
 use crate::session::Session;
 use axum::extract::ws::{WebSocketUpgrade, rejection::WebSocketUpgradeRejection};
-use axum::extract::{RawQuery, State};
+use axum::extract::{Extension, RawQuery, State};
 use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use escarp_proto::wire::{EARLY_HEADER, MAX_SERVER_MESSAGE};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
 use tokio::sync::{Semaphore, watch};
 use tracing::Instrument;
 
 /// Bytes that a socket reads at a time. The default, 128 KiB a session, is for bigger messages.
 const READ_BUFFER_BYTES: usize = 8 << 10;
+
+/// When to try again after a session was refused for want of a place.
+const RETRY: Duration = Duration::from_secs(5);
 
 /// How far the server is from its end.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -67,6 +74,7 @@ fn places(limits: &Limits) -> u32 {
 /// `/session`: opens a session, if there is a place.
 pub(crate) async fn upgrade(
     State(app): State<App>,
+    Extension(caller): Extension<Caller>,
     RawQuery(query): RawQuery,
     upgrade: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
 ) -> Response {
@@ -82,7 +90,16 @@ pub(crate) async fn upgrade(
         Err(text) => return Problem::plain(StatusCode::BAD_REQUEST, text).into_response(),
     };
     let taken = early.len();
-    let sessions = app.sessions;
+    let (sessions, metrics) = (app.sessions, app.gate.metrics.clone());
+    if !caller.may_connect() {
+        metrics.session_refused(Refusal::Origin);
+        let text = "web pages of this origin may not open sessions";
+        return Problem::plain(StatusCode::FORBIDDEN, text).into_response();
+    }
+    let Ok(held) = app.gate.session(&caller) else {
+        metrics.session_refused(Refusal::Address);
+        return too_many(RETRY);
+    };
     let serving = *sessions.phase.borrow() == Phase::Serving;
     let Some(place) = sessions
         .places
@@ -91,15 +108,25 @@ pub(crate) async fn upgrade(
         .ok()
         .filter(|_| serving)
     else {
+        metrics.session_refused(if serving {
+            Refusal::Full
+        } else {
+            Refusal::Draining
+        });
         return busy(&sessions.limits);
     };
     let id = sessions.opened.fetch_add(1, Ordering::Relaxed);
-    let span = tracing::info_span!("session", id);
-    let session = Session::new(app.catalog, sessions.limits.as_ref().clone());
+    let client = caller.address.map(tracing::field::display);
+    let span = tracing::info_span!("session", session = id, client);
+    let session = Session::new(app.catalog, sessions.limits.as_ref().clone()).for_caller(caller);
     let mut response = bounded(upgrade).on_upgrade(move |socket| {
         let driven = async move {
-            drive::drive(socket, session, early, &sessions.limits, sessions.phase).await;
-            drop(place);
+            metrics.sessions.inc();
+            let open = Share::one(&metrics.sessions_open);
+            let Sessions { limits, phase, .. } = sessions;
+            let reason = drive::drive(socket, session, early, &limits, phase, &metrics).await;
+            metrics.session_over(reason.as_ref());
+            drop((place, held, open));
         };
         driven.instrument(span)
     });
@@ -124,5 +151,9 @@ fn busy(limits: &Limits) -> Response {
         limits.sessions
     );
     let problem = Problem::plain(StatusCode::SERVICE_UNAVAILABLE, error);
-    ([(header::RETRY_AFTER, "5")], problem).into_response()
+    (
+        [(header::RETRY_AFTER, RETRY.as_secs().to_string())],
+        problem,
+    )
+        .into_response()
 }

@@ -2,6 +2,7 @@
 
 pub(crate) mod fake;
 
+mod heights;
 mod http;
 mod sessions;
 

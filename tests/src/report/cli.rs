@@ -6,6 +6,7 @@ use super::plan::Plan;
 use super::variant::Variant;
 use super::write;
 use super::{flight, tables};
+use crate::nets::{self, cli::Streaming};
 use crate::stability;
 use anyhow::{Context, Result, ensure};
 use clap::Parser;
@@ -20,14 +21,23 @@ use std::sync::Arc;
 
 /// Measure meshers on datasets: error against run time, and what belongs to it.
 #[derive(Debug, Parser)]
-#[command(name = "escarp-report", version, after_help = EXAMPLES)]
+#[command(
+    name = "escarp-report",
+    version,
+    after_help = EXAMPLES,
+    args_conflicts_with_subcommands = true,
+    subcommand_negates_reqs = true
+)]
 pub struct Cli {
+    /// Server and clients as they run, over lines and under load
+    #[command(subcommand)]
+    streaming: Option<Streaming>,
     /// Datasets, as `escarp-tiles build` makes them
     #[arg(required_unless_present = "stability", value_name = "DATASET")]
     datasets: Vec<PathBuf>,
     /// Folder for the report; one below it for each dataset if there are several
-    #[arg(short, long, value_name = "DIR")]
-    output: PathBuf,
+    #[arg(short, long, required = true, value_name = "DIR")]
+    output: Option<PathBuf>,
     /// Flight, JSON as `escarp-client fly` reads it; default: from the overview down to a low flight
     #[arg(long, value_name = "FILE.json")]
     path: Option<PathBuf>,
@@ -57,6 +67,7 @@ Examples:
   escarp-report everest.escarp -o report
   escarp-report everest.escarp moon.escarp --quick -o reports
   escarp-report --stability -o stability
+  escarp-report network everest.escarp -o network      (as root)
   escarp-report moon.escarp --path docs/moon-flight.json --meshers quadtree,roam --error-px 1,2,4 -o report
 
 Exit codes: 0 done; 1 failed; 2 wrong usage.";
@@ -113,8 +124,12 @@ fn folders(output: &Path, datasets: &[Arc<Dataset>]) -> Vec<PathBuf> {
 /// # Errors
 /// What stopped it.
 pub fn run(cli: &Cli) -> Result<()> {
+    if let Some(streaming) = &cli.streaming {
+        return nets::cli::run(streaming, &command());
+    }
+    let output = cli.output.as_deref().context("-o is missing")?;
     if cli.stability {
-        return run_stability(&cli.output);
+        return run_stability(output);
     }
     let plan = cli.plan().unwrap_or_else(|error| error.exit());
     let datasets: Vec<Arc<Dataset>> = cli
@@ -126,7 +141,7 @@ pub fn run(cli: &Cli) -> Result<()> {
     let flights: Vec<_> = flights
         .map(|dataset| flight::open(cli.path.as_deref(), dataset.manifest()))
         .collect::<Result<_>>()?;
-    let folders = folders(&cli.output, &datasets);
+    let folders = folders(output, &datasets);
     for folder in &folders {
         write::prepare(folder)?;
     }
@@ -143,7 +158,7 @@ pub fn run(cli: &Cli) -> Result<()> {
     }
     bar.end();
     if reports.len() > 1 {
-        write::index(&cli.output, &reports)?;
+        write::index(output, &reports)?;
     }
     Ok(())
 }

@@ -122,24 +122,67 @@ fn full_triangles(dataset: &Dataset) -> u64 {
 /// # Errors
 /// If the dataset is damaged.
 pub fn used_bytes(dataset: &Dataset, tree: &MeshTree) -> Result<u64> {
-    let mut parts: HashMap<PageId, u8> = HashMap::new();
+    parts_of(tree).used_bytes(dataset, &UsedParts::default())
+}
+
+/// The last part of each page that is here, and of each that the mesh could not do without.
+#[derive(Debug, Clone, Default)]
+pub struct UsedParts {
+    resident: HashMap<PageId, u8>,
+    used: HashMap<PageId, u8>,
+}
+
+/// Those of a mesh.
+pub fn parts_of(tree: &MeshTree) -> UsedParts {
+    let mut used: HashMap<PageId, u8> = HashMap::new();
     for flags in tree.flags().into_iter().filter(|flags| flags.enabled) {
         let part = part_of(flags.sample as usize);
-        let kept = parts.entry(flags.page).or_insert(0);
+        let kept = used.entry(flags.page).or_insert(0);
         *kept = (*kept).max(part);
     }
-    let used: Vec<PageId> = parts.keys().copied().collect();
-    for page in used {
+    let pages: Vec<PageId> = used.keys().copied().collect();
+    for page in pages {
         if let Some((parent, _)) = page.parent() {
-            parts.insert(parent, SLOT_PART);
+            used.insert(parent, SLOT_PART);
         }
     }
+    let resident = tree.pages().map(|page| (page.id(), page.parts())).collect();
+    UsedParts { resident, used }
+}
+
+impl UsedParts {
+    /// Bytes of the parts that the mesh could not do without, and that were not here before.
+    ///
+    /// # Errors
+    /// If the dataset is damaged.
+    pub fn used_bytes(&self, dataset: &Dataset, before: &UsedParts) -> Result<u64> {
+        beyond(dataset, &self.used, &before.resident)
+    }
+
+    /// Bytes of the parts that are here, and were not before.
+    ///
+    /// # Errors
+    /// If the dataset is damaged.
+    pub fn resident_bytes(&self, dataset: &Dataset, before: &UsedParts) -> Result<u64> {
+        beyond(dataset, &self.resident, &before.resident)
+    }
+}
+
+/// Bytes of some parts, less those of others.
+fn beyond(
+    dataset: &Dataset,
+    parts: &HashMap<PageId, u8>,
+    before: &HashMap<PageId, u8>,
+) -> Result<u64> {
     let mut bytes = 0;
-    for (page, part) in parts {
+    for (&page, &part) in parts {
+        let first = before.get(&page).map_or(0, |had| had + 1);
         let finest = dataset.grid().is_finest(page);
-        if let Some(record) = dataset.record(page)? {
+        if first <= part
+            && let Some(record) = dataset.record(page)?
+        {
             let header = RecordHeader::read(page, finest, record.bytes)?;
-            let range = header.part_bytes(0, part);
+            let range = header.part_bytes(first, part);
             bytes += range
                 .with_context(|| format!("page {page} has no part {part}"))?
                 .len() as u64;

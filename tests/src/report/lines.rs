@@ -218,6 +218,7 @@ impl Pair {
         self.link.set_view(view, now)?;
         let step = terrain.update(view);
         self.link.evict(&step.dropped);
+        self.link.discard(&step.orphans);
         self.link.set_wants(terrain.wants(), now);
         let settled = terrain.wants().is_empty() && self.link.stats().in_flight_pages == 0;
         Ok((step.excess, step.triangles, settled))

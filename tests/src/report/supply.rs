@@ -97,6 +97,18 @@ impl<'a> Supply<'a> {
     /// # Errors
     /// If the dataset is damaged, the mesh does not converge, or takes more memory than allowed.
     pub fn converge(&mut self, view: &View) -> Result<Converged> {
+        self.converge_noting(view, &mut |_| {})
+    }
+
+    /// As [`converge`](Self::converge), and shows the wishes of each update before they are granted.
+    ///
+    /// # Errors
+    /// As [`converge`](Self::converge).
+    pub fn converge_noting(
+        &mut self,
+        view: &View,
+        note: &mut dyn FnMut(&[Wish]),
+    ) -> Result<Converged> {
         let mut stages = Stages::default();
         let (mut changes, mut splits, mut merges) = (0, 0, 0);
         for rounds in 1..=MOST_ROUNDS {
@@ -117,6 +129,7 @@ impl<'a> Supply<'a> {
                     rounds,
                 });
             }
+            note(&wishes);
             self.grant(&wishes, &mut stages)?;
         }
         anyhow::bail!("the mesh still wishes for pages after {MOST_ROUNDS} updates")

@@ -39,6 +39,16 @@ impl Variant {
         bounding.chain(others).collect()
     }
 
+    /// What clients do if nobody says otherwise.
+    pub fn usual() -> Variant {
+        let MeshOptions { mesher, metric, .. } = MeshOptions::default();
+        Variant {
+            mesher,
+            metric,
+            morph: false,
+        }
+    }
+
     /// Whether it promises to keep the tolerance.
     pub fn keeps_tolerance(self) -> bool {
         self.mesher.keeps_tolerance() && self.metric == Metric::Bounding

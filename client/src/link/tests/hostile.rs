@@ -8,11 +8,15 @@ use proptest::prelude::*;
 
 const PLACES: usize = 8;
 
-fn link() -> Link {
-    open_link(LinkConfig {
+fn config() -> LinkConfig {
+    LinkConfig {
         max_in_flight_pages: PLACES,
         ..LinkConfig::new("moon")
-    })
+    }
+}
+
+fn link() -> Link {
+    open_link(config())
 }
 
 #[test]
@@ -33,10 +37,11 @@ fn chunks_that_do_not_fit_are_dropped_and_counted() {
     tell(&mut link, &ServerMessage::Pages(lies), ms(0));
     assert_eq!(events(&mut link), []);
     assert_eq!(link.stats().dropped_chunks, 5);
+    let evict = ClientMessage::Evict(vec![page(1).key()]);
     assert_eq!(
         said(&mut link, ms(0)),
-        [ClientMessage::Want(wants([1]))],
-        "asked for again"
+        [evict, ClientMessage::Want(wants([1]))],
+        "asked for again, and told that it is not here"
     );
     tell(
         &mut link,
@@ -171,9 +176,13 @@ fn message() -> impl Strategy<Value = ServerMessage> {
             ServerMessage::Miss(Miss { page: page(number).key(), reason })
         }),
         2 => any::<u32>().prop_map(|view_sequence| ServerMessage::Idle { view_sequence }),
-        2 => any::<u64>().prop_map(|generation| ServerMessage::GenChange {
+        1 => any::<u64>().prop_map(|generation| ServerMessage::GenChange {
             generation,
             manifest: Vec::new(),
+        }),
+        2 => (1u64..4).prop_map(gen_change),
+        2 => prop::collection::vec(0u32..12, 0..9).prop_map(|numbers| {
+            ServerMessage::Stale(numbers.into_iter().map(|number| page(number).key()).collect())
         }),
         2 => (0u64..5).prop_map(ServerMessage::Pong),
         1 => (1u64..3).prop_map(welcome),
@@ -189,6 +198,7 @@ enum Act {
     Transmit,
     TakeEvents,
     Evict(u32),
+    Discard(u32),
     Wait(u64),
     Cut,
 }
@@ -201,13 +211,14 @@ fn act() -> impl Strategy<Value = Act> {
         5 => Just(Act::Transmit),
         2 => Just(Act::TakeEvents),
         1 => (0u32..12).prop_map(Act::Evict),
+        1 => (0u32..12).prop_map(Act::Discard),
         3 => (0u64..3000).prop_map(Act::Wait),
         1 => Just(Act::Cut),
     ]
 }
 
 /// Opens a session if there is none, so that most messages meet one.
-fn reopen(link: &mut Link, now: &mut Duration) {
+fn reopen(link: &mut Link, now: &mut Duration, pushes: bool) {
     if let Some(at) = link.next_timeout()
         && !link.has_socket()
     {
@@ -215,19 +226,23 @@ fn reopen(link: &mut Link, now: &mut Duration) {
         assert!(link.poll_connect(*now));
         link.on_connected(*now);
         assert!(link.poll_transmit(*now).is_some());
-        tell(link, &welcome(1), *now);
+        let welcome = if pushes { push_welcome(1) } else { welcome(1) };
+        tell(link, &welcome, *now);
     }
 }
 
 proptest! {
     #[test]
-    fn random_servers_never_exceed_the_bounds(acts in prop::collection::vec(act(), 1..120)) {
-        let mut link = link();
+    fn random_servers_never_exceed_the_bounds(
+        acts in prop::collection::vec(act(), 1..120),
+        pushes in any::<bool>(),
+    ) {
+        let mut link = if pushes { push_link(config()) } else { link() };
         let mut now = ms(0);
         let mut base = link.stats().page_bytes;
         let mut granted = 1u64 << 20;
         for act in acts {
-            reopen(&mut link, &mut now);
+            reopen(&mut link, &mut now, pushes);
             let session = link.stats().sessions;
             match act {
                 Act::Tell(message) => drop(link.handle_message(&message.encode(), now)),
@@ -244,6 +259,7 @@ proptest! {
                 },
                 Act::TakeEvents => drop(events(&mut link)),
                 Act::Evict(number) => link.evict(&[page(number)]),
+                Act::Discard(number) => link.discard(&[page(number)]),
                 Act::Wait(wait) => {
                     now += ms(wait);
                     link.handle_timeout(now);
@@ -257,8 +273,10 @@ proptest! {
             let stats = link.stats();
             prop_assert!(stats.in_flight_pages <= PLACES);
             prop_assert!(stats.held_pages <= 12);
-            // Six chunks a page in flight or waiting, and one event of each of five other kinds.
-            prop_assert!(link.events.len() <= 6 * PLACES + 5, "{} events", link.events.len());
+            // Six chunks a page in flight or waiting, or of each that is pushed, and one event of
+            // each of seven other kinds.
+            let most = 6 * if pushes { 12 } else { PLACES } + 7;
+            prop_assert!(link.events.len() <= most, "{} events", link.events.len());
         }
     }
 

@@ -1,6 +1,8 @@
 //! A link against a small scripted server, under virtual time.
 
+mod generations;
 mod hostile;
+mod push;
 mod sessions;
 mod wants;
 
@@ -11,7 +13,7 @@ use escarp_proto::manifest::{FORMAT, FileCheck, Manifest, VERSION};
 use escarp_proto::view::View;
 use escarp_proto::wire::{
     Chunk, Class, ClientMessage, ErrorCode, Have, PROTOCOL, PeerError, ServerMessage,
-    SessionLimits, Want, Welcome,
+    SessionLimits, Want, Welcome, capability,
 };
 use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
@@ -108,6 +110,24 @@ pub fn welcome(generation: u64) -> ServerMessage {
     })
 }
 
+/// The same of a server that pushes.
+pub fn push_welcome(generation: u64) -> ServerMessage {
+    let ServerMessage::Welcome(welcome) = welcome(generation) else {
+        unreachable!()
+    };
+    ServerMessage::Welcome(Welcome {
+        capabilities: capability::PUSH,
+        ..welcome
+    })
+}
+
+pub fn gen_change(generation: u64) -> ServerMessage {
+    ServerMessage::GenChange {
+        generation,
+        manifest: manifest(generation).to_json(),
+    }
+}
+
 pub fn refusal(code: ErrorCode) -> ServerMessage {
     let text = "because".to_owned();
     ServerMessage::Error(PeerError { code, text })
@@ -131,11 +151,20 @@ pub fn tell(link: &mut Link, message: &ServerMessage, now: Duration) {
 
 /// A link whose session has just opened, with nothing left to say or to take.
 pub fn open_link(config: LinkConfig) -> Link {
+    opened(config, &welcome(1))
+}
+
+/// The same with a server that pushes.
+pub fn push_link(config: LinkConfig) -> Link {
+    opened(config, &push_welcome(1))
+}
+
+fn opened(config: LinkConfig, welcome: &ServerMessage) -> Link {
     let mut link = Link::new(config);
     assert!(link.poll_connect(ms(0)));
     link.on_connected(ms(0));
     said(&mut link, ms(0));
-    tell(&mut link, &welcome(1), ms(0));
+    tell(&mut link, welcome, ms(0));
     said(&mut link, ms(0));
     events(&mut link);
     link
@@ -178,6 +207,11 @@ impl Server {
         };
     }
 
+    /// Of all its pages.
+    fn revision(&self) -> u32 {
+        6 + self.generation as u32
+    }
+
     fn hear(&mut self, message: ClientMessage) -> Option<ServerMessage> {
         assert_eq!(
             matches!(message, ClientMessage::Hello(_)),
@@ -199,7 +233,12 @@ impl Server {
                 assert!(total_bytes > self.credit, "a grant that does not rise");
                 self.credit = total_bytes;
             }
-            ClientMessage::Have(have) => self.have.extend(have),
+            ClientMessage::Have(have) => {
+                let stale = have.iter().filter(|have| have.revision != self.revision());
+                let stale = stale.map(|have| have.page).collect();
+                self.have.extend(have);
+                return Some(ServerMessage::Stale(stale));
+            }
             ClientMessage::View { sequence, .. } => self.views.push(sequence),
             ClientMessage::Ping(number) => return Some(ServerMessage::Pong(number)),
             ClientMessage::Evict(_) | ClientMessage::Error(_) => {}
@@ -218,7 +257,7 @@ impl Server {
         let last = want.last_part.min(want.first_part + self.parts_a_chunk - 1);
         let chunk = Chunk {
             page: want.page,
-            revision: 7,
+            revision: self.revision(),
             first_part: want.first_part,
             last_part: last,
             bytes: vec![0; 1000],

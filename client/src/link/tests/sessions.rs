@@ -12,7 +12,7 @@ fn config() -> LinkConfig {
 }
 
 #[test]
-fn hello_names_the_dataset_and_nothing_else_is_said_before_welcome() {
+fn hello_names_the_dataset_and_before_welcome_only_the_view_is_said_behind_it() {
     let mut link = Link::new(LinkConfig {
         token: Some("secret".into()),
         ..config()
@@ -22,9 +22,15 @@ fn hello_names_the_dataset_and_nothing_else_is_said_before_welcome() {
     assert!(said(&mut link, ms(0)).is_empty());
     assert!(link.poll_connect(ms(0)) && !link.poll_connect(ms(0)));
     link.on_connected(ms(0));
-    let [ClientMessage::Hello(hello)] = &said(&mut link, ms(0))[..] else {
-        panic!()
+    let all = said(&mut link, ms(0));
+    let [
+        ClientMessage::Hello(hello),
+        ClientMessage::View { sequence: 1, .. },
+    ] = &all[..]
+    else {
+        panic!("{all:?}")
     };
+    assert_eq!(hello.capabilities, capability::PUSH);
     assert_eq!(
         (hello.dataset.as_str(), hello.credit_bytes),
         ("moon", 40_000)
@@ -117,14 +123,41 @@ fn pages_held_are_announced_in_the_next_session() {
     assert_eq!(have.len(), 19);
     assert!(
         have.iter()
-            .all(|h| h.revision == 7 && h.parts == 6 && h.page != page(3).key())
+            .all(|h| h.revision == 7 && h.parts == 5 && h.page != page(3).key())
     );
+    world.run_until("a second session", |w| w.link.is_open());
     world.cut();
     world.server.generation = 2;
     world.run_until("another generation", |w| w.link.stats().sessions == 3);
     (0..20).for_each(|_| world.step());
-    assert!(world.server.have.is_empty());
+    assert_eq!(world.server.have.len(), 19);
     assert_eq!(world.link.stats().held_pages, 0);
+    assert_eq!(world.events.last(), Some(&Event::Confirmed));
+}
+
+#[test]
+fn what_is_held_goes_out_right_behind_hello() {
+    let mut world = World::new(config());
+    world.link.set_view(&view(1.0), ms(0)).unwrap();
+    world.run_until("pages", |w| {
+        w.link.set_wants(&wants(0..20), w.now);
+        w.complete().len() == 20
+    });
+    world.link.on_disconnected(world.now, "cut");
+    let later = world.now + Duration::from_secs(60);
+    assert!(world.link.poll_connect(later));
+    world.link.on_connected(later);
+    let all = said(&mut world.link, later);
+    let [
+        ClientMessage::Hello(_),
+        ClientMessage::Have(have),
+        ClientMessage::Ping(_),
+        ClientMessage::View { .. },
+    ] = &all[..]
+    else {
+        panic!("{all:?}")
+    };
+    assert_eq!(have.len(), 20);
 }
 
 #[test]

@@ -238,10 +238,7 @@ fn a_page_rejected_by_the_caller_is_not_asked_for_again_in_this_session() {
     events(&mut link);
     link.reject(page(1));
     link.set_wants(&wants([1]), ms(0));
-    assert_eq!(
-        said(&mut link, ms(0)),
-        [ClientMessage::Evict(vec![page(1).key()])]
-    );
+    assert_eq!(said(&mut link, ms(0)), []);
 }
 
 #[test]

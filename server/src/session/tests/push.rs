@@ -56,8 +56,11 @@ fn a_view_is_answered_by_what_it_needs_and_then_by_idle() {
 
 #[test]
 fn without_the_capability_nothing_comes_unasked() {
-    for (capabilities, push) in [(0, true), (capability::PUSH, false)] {
-        let mut peer = Peer::new(Limits { push, ..few() });
+    for (capabilities, pushed_pages) in [(0, 40), (capability::PUSH, 0)] {
+        let mut peer = Peer::new(Limits {
+            pushed_pages,
+            ..few()
+        });
         peer.say(ClientMessage::Hello(Hello {
             capabilities,
             ..hello(1 << 30)

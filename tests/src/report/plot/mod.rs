@@ -5,6 +5,7 @@ pub mod bars;
 pub mod chart;
 pub mod drawing;
 pub mod font;
+pub mod multiples;
 pub mod png;
 pub mod svg;
 

@@ -1,0 +1,195 @@
+//! The thread on which the disk is read and written.
+
+use super::index::Index;
+use super::store::tag_of;
+use super::{CacheOptions, Store};
+use escarp_proto::wire::{Chunk, Have, Want};
+use std::collections::HashSet;
+use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, TrySendError, sync_channel};
+use std::sync::{Arc, Mutex, MutexGuard};
+
+/// Chunks and questions that wait for the disk; of 8 KiB each at most.
+const QUEUE: usize = 1024;
+/// Pages that are being read at a time.
+const MOST_PENDING: usize = 256;
+
+enum Command {
+    Put(Chunk),
+    Get(u64),
+    Start(Vec<u8>),
+}
+
+/// A page that was asked for.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Loaded {
+    /// It was kept, and is sound.
+    Page(Chunk),
+    /// It was damaged, or has been removed: it has to come from the server.
+    Gone(u64),
+}
+
+/// What is kept of a dataset, for the thread that draws: nothing here waits for the disk.
+#[derive(Debug)]
+pub struct DiskCache {
+    index: Arc<Mutex<Index>>,
+    commands: SyncSender<Command>,
+    loaded: Receiver<Loaded>,
+    pending: HashSet<u64>,
+}
+
+impl DiskCache {
+    /// Begins to look through what is kept of an address, `http://HOST:PORT/NAME`.
+    pub fn open(options: CacheOptions, address: &str) -> DiskCache {
+        let mut store = Store::new(options, address);
+        let index = Arc::clone(&store.index);
+        let (commands, mut queue) = sync_channel(QUEUE);
+        let (found, loaded) = sync_channel(MOST_PENDING);
+        // Without a thread the channel is closed: nothing is kept, and nothing is found.
+        let _ = std::thread::Builder::new()
+            .name("escarp-cache".into())
+            .spawn(move || {
+                store.scan();
+                run(&mut store, &mut queue, &found);
+            });
+        DiskCache {
+            index,
+            commands,
+            loaded,
+            pending: HashSet::new(),
+        }
+    }
+
+    fn index(&self) -> MutexGuard<'_, Index> {
+        self.index
+            .lock()
+            .unwrap_or_else(|poisoned| poisoned.into_inner())
+    }
+
+    /// Whether the disk has been looked through.
+    pub fn is_ready(&self) -> bool {
+        self.index().is_ready
+    }
+
+    /// The manifest of the last session, as it was received.
+    pub fn manifest(&self) -> Option<Vec<u8>> {
+        self.index().manifest.clone()
+    }
+
+    /// A session, or a generation, begins with this manifest. Pages that came with another one are
+    /// not used until they are [confirmed](Self::confirm).
+    pub fn start(&mut self, manifest: &[u8]) {
+        self.index().set_tag(tag_of(manifest));
+        let _ = self.commands.try_send(Command::Start(manifest.to_vec()));
+    }
+
+    /// What to announce: the pages that were written last, newest first.
+    pub fn newest(&self, most: usize) -> Vec<Have> {
+        self.index().newest(most)
+    }
+
+    /// The server has answered: of those announced, these are of no use any more.
+    pub fn confirm(&mut self, haves: &[Have], stale: &[u64]) {
+        let stale = stale.iter().copied().collect();
+        self.index().confirm(haves, &stale);
+    }
+
+    /// Keeps a chunk that came from the server, if there is time.
+    pub fn put(&mut self, chunk: &Chunk) {
+        let _ = self.commands.try_send(Command::Put(chunk.clone()));
+    }
+
+    /// Asks the disk for pages that are wanted from their first part on. What is left has to come
+    /// from the server.
+    pub fn take_over(&mut self, wants: &[Want]) -> Vec<Want> {
+        let mut left = Vec::with_capacity(wants.len());
+        for want in wants {
+            if !self.asks(want) {
+                left.push(*want);
+            }
+        }
+        left
+    }
+
+    /// Whether the disk has a page, and is asked for it.
+    fn asks(&mut self, want: &Want) -> bool {
+        if self.pending.contains(&want.page) {
+            return true;
+        }
+        if want.first_part > 0
+            || self.pending.len() >= MOST_PENDING
+            || self.index().current(want.page).is_none()
+        {
+            return false;
+        }
+        let asked = self.commands.try_send(Command::Get(want.page)).is_ok();
+        if asked {
+            self.pending.insert(want.page);
+        }
+        asked
+    }
+
+    /// Whether pages are still to come from the disk.
+    pub fn is_reading(&self) -> bool {
+        !self.pending.is_empty()
+    }
+
+    /// The next page from the disk.
+    pub fn poll(&mut self) -> Option<Loaded> {
+        match self.loaded.try_recv() {
+            Ok(loaded) => {
+                let page = match &loaded {
+                    Loaded::Page(chunk) => chunk.page,
+                    Loaded::Gone(page) => *page,
+                };
+                self.pending.remove(&page);
+                Some(loaded)
+            }
+            Err(TryRecvError::Empty) => None,
+            Err(TryRecvError::Disconnected) => {
+                self.pending.clear();
+                None
+            }
+        }
+    }
+
+    /// Forgets a page: it was refused, or the server has another revision.
+    pub fn forget(&mut self, page: u64) {
+        self.index().remove(page);
+    }
+
+    /// What went wrong, once.
+    pub fn take_trouble(&mut self) -> Option<String> {
+        self.index().trouble.take()
+    }
+
+    /// Waits until all that was put before is on its way to the disk. For tests and for the end of
+    /// a program that wrote much.
+    pub fn flush(self) {
+        let DiskCache {
+            commands, loaded, ..
+        } = self;
+        drop(commands);
+        // The thread ends once it has done all, and closes its side.
+        while loaded.recv().is_ok() {}
+    }
+}
+
+fn run(store: &mut Store, queue: &mut Receiver<Command>, found: &SyncSender<Loaded>) {
+    while let Ok(command) = queue.recv() {
+        let loaded = match command {
+            Command::Put(chunk) => {
+                store.put(&chunk);
+                continue;
+            }
+            Command::Start(manifest) => {
+                store.start(&manifest);
+                continue;
+            }
+            Command::Get(page) => store.get(page).map_or(Loaded::Gone(page), Loaded::Page),
+        };
+        // As many have room as may be asked for; a caller that is gone wants nothing.
+        if let Err(TrySendError::Disconnected(_)) = found.try_send(loaded) {
+            continue;
+        }
+    }
+}

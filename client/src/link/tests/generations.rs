@@ -1,0 +1,173 @@
+//! Data that is published anew, during a session and between two.
+
+use super::*;
+
+fn link() -> Link {
+    let mut link = push_link(LinkConfig::new("moon"));
+    link.set_view(&view(0.0), ms(0)).unwrap();
+    let chunks = (0..3).map(|n| chunk(n, 0, 5)).collect();
+    tell(&mut link, &ServerMessage::Pages(chunks), ms(0));
+    events(&mut link);
+    said(&mut link, ms(0));
+    link
+}
+
+fn change(generation: u64) -> Event {
+    let manifest = manifest(generation).into();
+    Event::GenChange { manifest }
+}
+
+/// The number of the Ping behind the Haves.
+fn barrier(said: &[ClientMessage]) -> u64 {
+    match said {
+        [ClientMessage::Have(_), ClientMessage::Ping(number), ..] => *number,
+        [ClientMessage::Ping(number), ..] => *number,
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn a_new_generation_is_told_all_and_what_it_has_too_is_confirmed() {
+    let mut link = link();
+    tell(&mut link, &gen_change(2), ms(10));
+    assert_eq!(events(&mut link), [change(2)]);
+    let all = said(&mut link, ms(60));
+    let [
+        ClientMessage::Have(have),
+        ClientMessage::Ping(_),
+        ClientMessage::View { sequence: 2, .. },
+    ] = &all[..]
+    else {
+        panic!("{all:?}")
+    };
+    assert_eq!(have.len(), 3);
+    let number = barrier(&all);
+    tell(
+        &mut link,
+        &ServerMessage::Stale(vec![page(1).key()]),
+        ms(80),
+    );
+    assert_eq!(events(&mut link), []);
+    tell(&mut link, &ServerMessage::Pong(number), ms(80));
+    assert_eq!(events(&mut link), [Event::Confirmed]);
+    assert_eq!([0, 1, 2].map(|n| link.holds(page(n))), [true, false, true]);
+    let newer = Chunk {
+        revision: 8,
+        ..chunk(1, 0, 5)
+    };
+    tell(
+        &mut link,
+        &ServerMessage::Pages(vec![newer.clone()]),
+        ms(90),
+    );
+    assert_eq!(events(&mut link), [Event::Chunk(newer)]);
+}
+
+#[test]
+fn parts_of_two_generations_are_never_joined() {
+    let mut link = push_link(LinkConfig::new("moon"));
+    tell(
+        &mut link,
+        &ServerMessage::Pages(vec![chunk(1, 0, 2)]),
+        ms(0),
+    );
+    link.set_wants(&wants([1]), ms(0));
+    events(&mut link);
+    said(&mut link, ms(0));
+    tell(&mut link, &gen_change(2), ms(10));
+    // The wish for the rest crossed the change.
+    let rest = Chunk {
+        revision: 8,
+        ..chunk(1, 3, 5)
+    };
+    tell(&mut link, &ServerMessage::Pages(vec![rest]), ms(11));
+    assert_eq!(events(&mut link), [change(2)]);
+    let number = barrier(&said(&mut link, ms(20))[..]);
+    tell(
+        &mut link,
+        &ServerMessage::Stale(vec![page(1).key()]),
+        ms(30),
+    );
+    tell(&mut link, &ServerMessage::Pong(number), ms(30));
+    assert_eq!(events(&mut link), [Event::Confirmed]);
+    assert!(!link.holds(page(1)));
+    link.set_wants(&wants([1]), ms(1000));
+    let evict = ClientMessage::Evict(vec![page(1).key()]);
+    let all = said(&mut link, ms(1000));
+    assert_eq!(all[..2], [evict, ClientMessage::Want(wants([1]))]);
+}
+
+#[test]
+fn a_caller_that_skips_a_generation_is_not_given_its_pages() {
+    let mut link = link();
+    tell(&mut link, &gen_change(2), ms(10));
+    let newer = |number, first, last| Chunk {
+        revision: 8,
+        ..chunk(number, first, last)
+    };
+    let chunks = vec![newer(7, 0, 2), newer(7, 3, 5), newer(8, 0, 5)];
+    tell(&mut link, &ServerMessage::Pages(chunks), ms(20));
+    tell(&mut link, &gen_change(3), ms(30));
+    assert_eq!(events(&mut link), [change(3)]);
+    assert_eq!(link.stats().held_pages, 3);
+    let ClientMessage::Have(have) = &said(&mut link, ms(40))[0] else {
+        panic!()
+    };
+    assert!(have.iter().all(|have| have.revision == 7), "{have:?}");
+}
+
+#[test]
+fn another_place_on_earth_shares_no_page() {
+    let mut link = link();
+    let mut elsewhere = manifest(2);
+    elsewhere.georef.origin_m = [5.0, 0.0];
+    let message = ServerMessage::GenChange {
+        generation: 2,
+        manifest: elsewhere.to_json(),
+    };
+    tell(&mut link, &message, ms(10));
+    assert_eq!(link.stats().held_pages, 0);
+    let all = said(&mut link, ms(60));
+    let number = barrier(&all);
+    tell(&mut link, &ServerMessage::Pong(number), ms(80));
+    assert_eq!(events(&mut link).last(), Some(&Event::Confirmed));
+}
+
+#[test]
+fn a_page_found_stale_where_nothing_changed_makes_the_caller_start_anew() {
+    let mut link = link();
+    link.on_disconnected(ms(100), "cut");
+    assert!(link.poll_connect(ms(1000)));
+    link.on_connected(ms(1000));
+    let all = said(&mut link, ms(1000));
+    let number = barrier(&all[1..]);
+    tell(&mut link, &push_welcome(1), ms(1100));
+    tell(
+        &mut link,
+        &ServerMessage::Stale(vec![page(2).key()]),
+        ms(1100),
+    );
+    // A second time, and a page that was never announced, are no news.
+    let again = vec![page(2).key(), page(9).key(), u64::MAX];
+    tell(&mut link, &ServerMessage::Stale(again), ms(1100));
+    tell(&mut link, &ServerMessage::Pong(number), ms(1100));
+    let told = events(&mut link);
+    assert!(
+        matches!(told[1], Event::Welcome { changed: false, .. }),
+        "{told:?}"
+    );
+    assert_eq!(told[2..], [change(1), Event::Confirmed]);
+    assert!(link.holds(page(0)) && !link.holds(page(2)));
+}
+
+#[test]
+fn a_manifest_that_is_none_ends_the_session() {
+    let mut link = link();
+    let message = ServerMessage::GenChange {
+        generation: 2,
+        manifest: b"{".into(),
+    };
+    let error = link.handle_message(&message.encode(), ms(0)).unwrap_err();
+    assert!(error.to_string().contains("manifest"), "{error}");
+    assert!(!link.has_socket());
+}

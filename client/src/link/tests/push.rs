@@ -1,0 +1,251 @@
+//! Servers that send unasked, and wishes that wait for them.
+
+use super::*;
+use crate::link::claims::MAX_STRAYS;
+use escarp_proto::page::MAX_RECORD_BYTES;
+use escarp_proto::wire::{Miss, MissReason};
+
+fn link() -> Link {
+    push_link(LinkConfig {
+        credit_window_bytes: 40_000,
+        ..LinkConfig::new("moon")
+    })
+}
+
+fn push(link: &mut Link, chunks: Vec<Chunk>, now: u64) -> Vec<Event> {
+    tell(link, &ServerMessage::Pages(chunks), ms(now));
+    events(link)
+}
+
+fn idle(link: &mut Link, view_sequence: u32, now: u64) {
+    tell(link, &ServerMessage::Idle { view_sequence }, ms(now));
+    events(link);
+}
+
+/// Pages asked for now.
+fn asked(link: &mut Link, now: u64) -> usize {
+    let said = said(link, ms(now)).into_iter();
+    let wants = said.map(|message| match message {
+        ClientMessage::Want(wants) => wants.len(),
+        _ => 0,
+    });
+    wants.sum()
+}
+
+#[test]
+fn pushed_parts_that_continue_a_page_are_taken() {
+    let mut link = link();
+    let chunks = vec![chunk(1, 0, 2), chunk(2, 0, 5), chunk(1, 3, 5)];
+    let taken: Vec<Event> = chunks.iter().cloned().map(Event::Chunk).collect();
+    assert_eq!(push(&mut link, chunks, 0), taken);
+    let stats = link.stats();
+    assert_eq!((stats.pushed_chunks, stats.held_pages), (3, 2));
+    link.set_wants(&wants([1, 2]), ms(0));
+    assert_eq!(asked(&mut link, 0), 0);
+}
+
+#[test]
+fn pushed_parts_that_do_not_continue_a_page_are_dropped() {
+    let mut link = link();
+    push(&mut link, vec![chunk(1, 0, 2)], 0);
+    let wrong = vec![
+        chunk(1, 4, 5),
+        chunk(1, 0, 2),
+        Chunk {
+            revision: 8,
+            ..chunk(1, 3, 3)
+        },
+        chunk(1, 3, 6),
+        Chunk {
+            last_part: 0,
+            ..chunk(2, 1, 1)
+        },
+        chunk(2, 1, 5),
+        Chunk {
+            bytes: vec![0; MAX_RECORD_BYTES - 99],
+            ..chunk(1, 3, 3)
+        },
+        Chunk {
+            page: u64::MAX,
+            ..chunk(1, 0, 5)
+        },
+        Chunk {
+            page: PageId::new(16, 0, 0).unwrap().key(),
+            ..chunk(1, 0, 4)
+        },
+    ];
+    let count = wrong.len() as u64;
+    assert_eq!(push(&mut link, wrong, 0), []);
+    assert_eq!(link.stats().dropped_chunks, count);
+    assert_eq!(push(&mut link, vec![chunk(1, 3, 5)], 0).len(), 1);
+}
+
+#[test]
+fn wishes_wait_until_the_newest_view_is_answered() {
+    let mut link = link();
+    link.set_view(&view(0.0), ms(100)).unwrap();
+    link.set_wants(&wants(0..9), ms(100));
+    assert_eq!(asked(&mut link, 100), 0);
+    push(&mut link, (0..6).map(|n| chunk(n, 0, 5)).collect(), 120);
+    idle(&mut link, 0, 130);
+    link.set_wants(&wants(0..9), ms(130));
+    assert_eq!(asked(&mut link, 130), 0, "an answer to no view");
+    idle(&mut link, 1, 140);
+    link.set_wants(&wants(0..9), ms(140));
+    assert_eq!(asked(&mut link, 140), 3);
+}
+
+#[test]
+fn wishes_are_let_through_when_the_server_is_silent() {
+    let mut link = link();
+    link.set_view(&view(0.0), ms(100)).unwrap();
+    link.set_wants(&wants(0..9), ms(100));
+    assert_eq!(asked(&mut link, 100), 0);
+    push(&mut link, vec![chunk(0, 0, 5)], 200);
+    assert_eq!(link.next_timeout(), Some(ms(450)));
+    link.handle_timeout(ms(449));
+    assert_eq!(asked(&mut link, 449), 0);
+    link.handle_timeout(ms(450));
+    assert_eq!(asked(&mut link, 450), 8);
+}
+
+#[test]
+fn a_server_that_sends_what_nobody_needs_does_not_starve_wishes() {
+    let mut link = link();
+    link.set_view(&view(0.0), ms(0)).unwrap();
+    let first = (0..10_000u32).step_by(20).find(|&now| {
+        push(&mut link, vec![chunk(100 + now, 0, 5)], now.into());
+        link.evict(&[page(100 + now)]);
+        link.set_wants(&wants(0..9), ms(now.into()));
+        asked(&mut link, now.into()) > 0
+    });
+    assert_eq!(first, Some(3000));
+}
+
+#[test]
+fn what_was_in_flight_waits_for_a_new_server_to_push_it() {
+    let mut link = link();
+    link.set_wants(&wants(0..4), ms(0));
+    assert_eq!(asked(&mut link, 0), 4, "without a view nothing is pushed");
+    link.set_view(&view(0.0), ms(0)).unwrap();
+    link.on_disconnected(ms(0), "cut");
+    assert!(link.poll_connect(ms(1000)));
+    link.on_connected(ms(1000));
+    said(&mut link, ms(1000));
+    tell(&mut link, &push_welcome(1), ms(1000));
+    assert_eq!(asked(&mut link, 1000), 0);
+    push(&mut link, vec![chunk(0, 0, 5), chunk(1, 0, 5)], 1100);
+    let newest = link.view_sequence();
+    idle(&mut link, newest, 1200);
+    link.handle_timeout(ms(1200));
+    assert_eq!(asked(&mut link, 1200), 2);
+}
+
+#[test]
+fn a_dropped_part_is_told_before_its_page_is_wanted() {
+    let mut link = link();
+    push(&mut link, vec![chunk(1, 0, 1), chunk(1, 3, 5)], 0);
+    said(&mut link, ms(0));
+    link.set_wants(&wants([1]), ms(0));
+    let have = Have {
+        page: page(1).key(),
+        revision: 7,
+        parts: 1,
+    };
+    let want = Want {
+        first_part: 2,
+        ..wants([1])[0]
+    };
+    let expected = [
+        ClientMessage::Evict(vec![page(1).key()]),
+        ClientMessage::Have(vec![have]),
+        ClientMessage::Want(vec![want]),
+    ];
+    assert_eq!(said(&mut link, ms(0)), expected);
+}
+
+#[test]
+fn what_came_for_nothing_is_told_no_sooner_than_it_is_wanted() {
+    let mut link = link();
+    push(&mut link, vec![chunk(1, 0, 5)], 0);
+    link.discard(&[page(1)]);
+    assert_eq!(said(&mut link, ms(0)), []);
+    assert_eq!(link.stats().held_pages, 0);
+    link.set_wants(&wants([1]), ms(0));
+    let evict = ClientMessage::Evict(vec![page(1).key()]);
+    let want = ClientMessage::Want(wants([1]));
+    assert_eq!(said(&mut link, ms(0)), [evict, want]);
+}
+
+#[test]
+fn a_page_that_the_server_swallows_is_asked_for_again_and_given_up_at_last() {
+    let mut link = link();
+    link.set_wants(&wants([1, 2]), ms(0));
+    assert_eq!(asked(&mut link, 0), 2);
+    push(&mut link, vec![chunk(2, 0, 5)], 100);
+    idle(&mut link, 0, 100);
+    let mut times = Vec::new();
+    let mut missed = None;
+    for now in 100..60_000 {
+        link.handle_timeout(ms(now));
+        for message in said(&mut link, ms(now)) {
+            match message {
+                ClientMessage::Want(wants) => times.extend(wants.iter().map(|_| now)),
+                ClientMessage::Ping(number) => {
+                    tell(&mut link, &ServerMessage::Pong(number), ms(now))
+                }
+                ClientMessage::Evict(pages) => assert_eq!(pages, [page(1).key()]),
+                ClientMessage::Credit { .. } => {}
+                other => panic!("{other:?}"),
+            }
+        }
+        for event in events(&mut link) {
+            if let Event::Miss(miss) = event {
+                missed = Some(miss);
+            }
+        }
+    }
+    assert_eq!(times, (1..9).map(|n| 100 + 500 * n).collect::<Vec<u64>>());
+    let page = page(1).key();
+    let reason = MissReason::NotFound;
+    assert_eq!(missed, Some(Miss { page, reason }));
+    assert_eq!(link.stats().in_flight_pages, 0);
+}
+
+#[test]
+fn a_flood_of_pushed_pages_is_bounded_by_the_credit_and_in_number() {
+    let bytes = |length: usize| {
+        let mut link = link();
+        for frame in 0..1000u32 {
+            let chunks = (0..16).map(|n| Chunk {
+                bytes: vec![0; length],
+                ..chunk(16 * frame + n, 0, 5)
+            });
+            tell(&mut link, &ServerMessage::Pages(chunks.collect()), ms(0));
+        }
+        link
+    };
+    let full = bytes(1000);
+    assert_eq!((full.events.pages(), full.stats().held_pages), (40, 40));
+    let empty = bytes(0);
+    assert_eq!(empty.events.pages(), 1024 + 40_000 / 32);
+    assert!(empty.claims.strays() <= MAX_STRAYS);
+}
+
+#[test]
+fn pages_of_no_use_to_the_mesh_are_not_pushed() {
+    let mut link = link();
+    link.set_push(false);
+    link.set_view(&view(0.0), ms(0)).unwrap();
+    assert_eq!(
+        said(&mut link, ms(0)),
+        [],
+        "no view, so that nothing is pushed"
+    );
+    assert_eq!(push(&mut link, vec![chunk(1, 0, 5)], 0), []);
+    link.set_wants(&wants([1]), ms(0));
+    assert_eq!(asked(&mut link, 0), 1);
+    link.set_push(true);
+    let said = said(&mut link, ms(0));
+    assert!(matches!(said[..], [ClientMessage::View { .. }]));
+}
