@@ -1,5 +1,6 @@
 //! A terrain behind a connection: what the programs of the client drive.
 
+mod generations;
 mod options;
 
 pub use options::ClientOptions;
@@ -13,9 +14,9 @@ use crate::stages::Stages;
 use crate::terrain::{Terrain, TerrainStep};
 use escarp_proto::geometry::PageId;
 use escarp_proto::manifest::Manifest;
-use escarp_proto::page::Page;
 use escarp_proto::view::View;
 use escarp_proto::wire::MissReason;
+use generations::Generations;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
@@ -37,11 +38,13 @@ fn in_words(reason: MissReason) -> &'static str {
 pub struct RemoteTerrain {
     link: Link,
     connection: Box<dyn Carrier>,
-    terrain: Option<Terrain>,
+    generations: Generations,
     options: ClientOptions,
     governor: Governor,
     waker: SharedWaker,
     now: Duration,
+    /// Of the last step.
+    tolerance_px: f32,
     refused: Option<String>,
     last_step: TerrainStep,
     /// What uploading the last mesh took, milliseconds.
@@ -97,11 +100,12 @@ impl RemoteTerrain {
         RemoteTerrain {
             link,
             connection,
-            terrain: None,
+            generations: Generations::default(),
             governor: options.governor(),
             options,
             waker: SharedWaker::default(),
             now: Duration::ZERO,
+            tolerance_px: 0.0,
             refused: None,
             last_step: TerrainStep::default(),
             upload_ms: 0.0,
@@ -128,8 +132,10 @@ impl RemoteTerrain {
     pub fn awaits_pages(&self) -> bool {
         let link = self.link.stats();
         let under_way = link.in_flight_pages + link.waiting_events > 0;
-        let terrain = self.terrain.as_ref();
-        under_way || terrain.is_none_or(|t| !t.wants().is_empty() || t.waiting() > 0)
+        let terrain = self.generations.newest();
+        under_way
+            || self.generations.is_changing()
+            || terrain.is_none_or(|t| !t.wants().is_empty() || t.waiting() > 0)
     }
 
     /// Whether there is a session now.
@@ -161,7 +167,7 @@ impl RemoteTerrain {
 
     /// The terrain, once the server has told what it is.
     pub fn terrain(&self) -> Option<&Terrain> {
-        self.terrain.as_ref()
+        self.generations.shown()
     }
 
     /// Milliseconds to the server and back, if known.
@@ -172,7 +178,7 @@ impl RemoteTerrain {
     /// Takes over what happened, as far as the terrain has room for chunks. Those that stay in the
     /// link hold back the server.
     fn handle_events(&mut self) {
-        while self.terrain.as_ref().is_none_or(Terrain::has_room)
+        while self.generations.newest().is_none_or(Terrain::has_room)
             && let Some(event) = self.link.poll_event()
         {
             self.handle(event);
@@ -186,18 +192,18 @@ impl RemoteTerrain {
                 self.reasons.clear();
                 if changed {
                     self.start_anew(manifest);
-                } else if let Some(terrain) = &mut self.terrain {
+                } else if let Some(terrain) = self.generations.newest_mut() {
                     terrain.forget_misses();
                 }
             }
             Event::Chunk(chunk) => {
-                if let Some(terrain) = &mut self.terrain {
+                if let Some(terrain) = self.generations.newest_mut() {
                     terrain.receive(chunk);
                 }
             }
             Event::Miss(miss) => {
                 let page = PageId::from_key(miss.page);
-                if let (Some(terrain), Some(page)) = (&mut self.terrain, page) {
+                if let (Some(terrain), Some(page)) = (self.generations.newest_mut(), page) {
                     terrain.miss(page);
                     self.lost += 1;
                     self.note_reason(page, in_words(miss.reason));
@@ -210,20 +216,22 @@ impl RemoteTerrain {
                 self.refused = Some(self.link.trouble().map_or(text, str::to_owned));
             }
             Event::GenChange { manifest } => self.start_anew(manifest),
-            Event::Refused { .. }
-            | Event::Idle { .. }
-            | Event::Confirmed
-            | Event::Disconnected { .. } => {}
+            Event::Confirmed => self.generations.confirm(|page| self.link.holds(page)),
+            Event::Refused { .. } | Event::Idle { .. } | Event::Disconnected { .. } => {}
         }
     }
 
-    /// Another generation: no page of the old one is of use.
+    /// From here on, chunks are of another generation.
     fn start_anew(&mut self, manifest: Arc<Manifest>) {
-        let (cap, mesh) = (self.options.memory_cap_bytes, self.options.mesh);
-        let old = self.terrain.replace(Terrain::new(manifest, cap, mesh));
-        let pages = old.iter().flat_map(|old| old.tree().pages());
-        let pages: Vec<PageId> = pages.map(Page::id).collect();
-        self.link.evict(&pages);
+        let ClientOptions {
+            memory_cap_bytes,
+            mesh,
+            ..
+        } = self.options;
+        let lost = self.generations.begin(manifest, memory_cap_bytes, mesh);
+        self.link.evict(&lost);
+        (self.refusals, self.lost) = (0, 0);
+        self.reasons.clear();
     }
 
     /// Updates the terrain for a view that is in order, and tells the link what follows.
@@ -241,17 +249,22 @@ impl RemoteTerrain {
         let mut step = TerrainStep::default();
         loop {
             self.handle_events();
-            let Some(terrain) = &mut self.terrain else {
+            if self.generations.newest().is_none() {
                 return;
-            };
-            if terrain.waiting() == 0 || !terrain.link_arrived(&mut step, &mut stages) {
+            }
+            let none_left = self.generations.link_arrived(&mut step, &mut stages);
+            let more = self.link.stats().waiting_events > 0;
+            if !none_left || !more || step.memory_full {
                 break;
             }
         }
-        if let Some(terrain) = &mut self.terrain {
-            let step = terrain.finish(view, step, &mut stages);
-            self.follow(step);
-        }
+        let link = self.link.stats();
+        let is_all = self.link.is_open() && link.in_flight_pages + link.waiting_events == 0;
+        let cap = self.options.memory_cap_bytes;
+        let step = self
+            .generations
+            .finish(view, step, &mut stages, cap, is_all);
+        self.follow(step);
     }
 
     /// Tells the link, and the user, what a step of the terrain came to.
@@ -269,7 +282,7 @@ impl RemoteTerrain {
                 self.note_reason(refusal.page, &refusal.why.to_string());
             }
         }
-        if let Some(terrain) = &self.terrain {
+        if let Some(terrain) = self.generations.newest() {
             self.link.set_wants(terrain.wants(), self.now);
         }
         self.last_step = step;
@@ -277,7 +290,7 @@ impl RemoteTerrain {
 
     /// Lets the governor know what the step came to.
     fn observe(&mut self) {
-        let Some(terrain) = &self.terrain else {
+        let Some(terrain) = self.generations.newest() else {
             return;
         };
         // Where pictures are not made of each frame, one upload is not that of the next frames.
@@ -285,6 +298,11 @@ impl RemoteTerrain {
         self.governor.observe(&Load {
             triangles: self.last_step.triangles,
             ms: f64::from(self.last_step.times.mesh_ms() + upload_ms),
+            memory_bytes: terrain.needed_bytes() as u64,
+            gpu_bytes: match self.options.gpu_cap_bytes {
+                Some(_) => terrain.tree().mesh_bytes() as u64,
+                None => 0,
+            },
             settled: terrain.wants().is_empty() && terrain.waiting() == 0,
         });
     }
@@ -295,14 +313,15 @@ impl RemoteTerrain {
         self.notes.clear();
         self.notes.extend(notes.iter().map(ToString::to_string));
         view.max_screen_error_px = self.governor.tolerance_px(view.max_screen_error_px);
+        self.tolerance_px = view.max_screen_error_px;
         view
     }
 }
 
 impl TerrainClient for RemoteTerrain {
     fn manifest(&self) -> Option<Arc<Manifest>> {
-        self.terrain
-            .as_ref()
+        self.generations
+            .shown()
             .map(|terrain| terrain.manifest().clone())
     }
 
@@ -322,7 +341,7 @@ impl TerrainClient for RemoteTerrain {
         self.observe();
         self.connection.drive(&mut self.link, now);
         let link = self.link.stats();
-        let terrain = self.terrain.as_ref();
+        let terrain = self.generations.shown();
         let excess = terrain.map_or(f64::INFINITY, |_| self.last_step.excess);
         StepStats {
             triangles: self.last_step.triangles,
@@ -361,15 +380,14 @@ impl TerrainClient for RemoteTerrain {
         self.options.mesh = mesh;
         self.link.set_push(mesh.scope().is_some());
         self.governor = self.options.governor();
-        if let Some(terrain) = &mut self.terrain {
-            let dropped = terrain.set_options(mesh);
-            self.link.evict(&dropped);
-        }
+        let dropped = self.generations.set_options(mesh);
+        self.link.evict(&dropped);
     }
 
     fn visit_pages(&self, visit: &mut dyn FnMut(&PageMesh)) {
-        self.terrain
-            .iter()
+        self.generations
+            .shown()
+            .into_iter()
             .flat_map(Terrain::meshes)
             .for_each(visit);
     }
@@ -378,10 +396,10 @@ impl TerrainClient for RemoteTerrain {
         if let Some(refused) = &self.refused {
             return refused.clone();
         }
-        let full = if self.last_step.memory_full {
-            ", memory cap reached"
-        } else {
-            ""
+        let full = match (self.governor.limit(), self.last_step.memory_full) {
+            (Some(limit), _) => format!(", tolerance {:.1} px, {limit}", self.tolerance_px),
+            (None, true) => ", memory cap reached".to_owned(),
+            (None, false) => String::new(),
         };
         let lost = match (self.reasons.first(), self.lost) {
             (None, _) => String::new(),

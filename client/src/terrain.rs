@@ -23,6 +23,15 @@ use std::sync::Arc;
 pub const DEFAULT_MEMORY_BYTES: usize = 1 << 30;
 /// Chunks that a terrain takes before it has linked some of them.
 const MOST_WAITING: usize = 64;
+/// What is known of a page beside its place in the tree takes about this much, bytes: its digest,
+/// and what the link knows of it.
+const NOTES_BYTES: usize = 256;
+
+/// Of a memory cap, what pages are let in for. The rest is for what comes in parts, for what waits,
+/// and for triangles that are yet to be made.
+pub const fn room_for_pages(cap_bytes: usize) -> usize {
+    cap_bytes - cap_bytes / 8
+}
 
 /// A dataset's terrain, as far as it is here.
 #[derive(Debug)]
@@ -36,6 +45,23 @@ pub struct Terrain {
     /// Of pages that are not whole yet.
     digests: HashMap<PageId, RevisionDigest>,
     wants: Vec<Want>,
+    /// Pages that are worth having, and may come.
+    lacking: usize,
+}
+
+/// A page as one terrain has it, for another one.
+#[derive(Debug)]
+pub struct Seed {
+    page: Page,
+    /// If it is not whole.
+    digest: Option<RevisionDigest>,
+}
+
+impl Seed {
+    /// Which page it is.
+    pub fn id(&self) -> PageId {
+        self.page.id()
+    }
 }
 
 /// What an update came to.
@@ -84,7 +110,86 @@ impl Terrain {
             lost: Lost::default(),
             digests: HashMap::new(),
             wants: Vec::new(),
+            lacking: 0,
         }
+    }
+
+    /// Copies of the pages that `which` names, the root last.
+    pub fn seeds(&self, which: impl Fn(PageId) -> bool) -> Vec<Seed> {
+        let seed = |page: &Page| Seed {
+            page: page.clone(),
+            digest: self.digests.get(&page.id()).cloned(),
+        };
+        let mut seeds: Vec<Seed> = (self.tree.pages())
+            // Of a page that was refused in part nobody knows which part is wrong.
+            .filter(|page| which(page.id()) && self.is_in_order(page.id()))
+            .map(seed)
+            .collect();
+        seeds.sort_unstable_by_key(|seed| std::cmp::Reverse(seed.id().key()));
+        seeds
+    }
+
+    /// Takes over a page of another terrain, after those above it. Whether it fits.
+    pub fn take_seed(&mut self, seed: Seed) -> bool {
+        let id = seed.id();
+        if !self.makes_room(&mut Vec::new()) || self.tree.link(seed.page).is_err() {
+            return false;
+        }
+        if let Some(digest) = seed.digest {
+            self.digests.insert(id, digest);
+        }
+        true
+    }
+
+    /// What is drawn of this terrain can be told from what is drawn of the other one.
+    pub fn follow(&mut self, other: &Terrain) {
+        self.tree.follow(&other.tree);
+    }
+
+    /// Lets it take this much memory from the next update on, bytes.
+    pub fn set_memory_cap(&mut self, cap_bytes: usize) {
+        self.memory_cap_bytes = cap_bytes;
+    }
+
+    /// Memory that it takes, bytes, near enough for a cap.
+    pub fn memory_bytes(&self) -> usize {
+        let waiting = self.arrived.iter().map(|chunk| chunk.bytes.len());
+        let waiting = waiting.sum::<usize>() + self.arrived.len() * size_of::<Chunk>();
+        let notes = self.tree.resident() * NOTES_BYTES + self.wants.len() * size_of::<Want>();
+        self.tree.memory_bytes() + notes + waiting
+    }
+
+    /// Memory of the pages that the last view needs, those that it lacks included, bytes; or a
+    /// bound of it where that is far below the cap.
+    pub fn needed_bytes(&self) -> usize {
+        let lacking = self.lacking * (MeshTree::PAGE_BYTES + NOTES_BYTES);
+        let resident = self.tree.memory_bytes();
+        let used = match resident + lacking > self.memory_cap_bytes / 2 {
+            true => self.tree.used_bytes(),
+            false => resident,
+        };
+        used + lacking
+    }
+
+    /// Whether there is room for another page, after those that are not of use have made place.
+    fn makes_room(&mut self, dropped: &mut Vec<PageId>) -> bool {
+        let room = room_for_pages(self.memory_cap_bytes);
+        if self.memory_bytes() + MeshTree::PAGE_BYTES <= room {
+            return true;
+        }
+        // Somewhat more, so that not each page has to look for place.
+        self.evict(room - room / 32, dropped);
+        self.memory_bytes() + MeshTree::PAGE_BYTES <= room
+    }
+
+    /// Unlinks pages that the mesh does not use, until the terrain takes this much, if it can.
+    fn evict(&mut self, most_bytes: usize, dropped: &mut Vec<PageId>) {
+        let more = self.memory_bytes() - self.tree.memory_bytes();
+        let gone = self.tree.evict(most_bytes.saturating_sub(more));
+        for page in &gone {
+            self.digests.remove(page);
+        }
+        dropped.extend(gone);
     }
 
     /// The dataset's manifest.
@@ -102,6 +207,7 @@ impl Terrain {
     pub fn set_options(&mut self, options: MeshOptions) -> Vec<PageId> {
         let (grid, georef) = (self.manifest.grid_levels, self.manifest.georef.clone());
         let mut tree = MeshTree::with_options(grid, georef, options);
+        tree.follow(&self.tree);
         let mut pages: Vec<Page> = self.tree.pages().cloned().collect();
         // Parents first: a page is linked below one that is.
         pages.sort_by_key(|page| page.id().key());
@@ -170,6 +276,23 @@ impl Terrain {
         self.arrived.is_empty()
     }
 
+    /// Links all that has arrived, however long it takes. Pages that are not, or no longer, here.
+    pub fn link_all(&mut self) -> Vec<PageId> {
+        let mut step = TerrainStep::default();
+        self.link_arrived(&mut step, &mut Stages::untimed());
+        let refused = step.refused.iter().map(|refusal| refusal.page);
+        let lost = step.dropped.iter().chain(&step.orphans).copied();
+        lost.chain(refused).collect()
+    }
+
+    /// Drops all that has arrived and is not linked; gives of which pages it was.
+    pub fn drop_waiting(&mut self) -> Vec<PageId> {
+        let pages = self.arrived.drain(..);
+        pages
+            .filter_map(|chunk| PageId::from_key(chunk.page))
+            .collect()
+    }
+
     /// Brings the mesh up to date for a view, [clamped](View::clamped) if it is not in order, with
     /// the pages that are linked; `step` is what linking them came to.
     pub fn finish(
@@ -182,12 +305,11 @@ impl Terrain {
         step.excess = stages
             .time(Stage::Update, || self.tree.update(&view))
             .excess;
-        let evicted = stages.time(Stage::Link, || self.tree.evict(self.memory_cap_bytes));
-        step.dropped.extend(evicted);
-        for page in &step.dropped {
-            self.digests.remove(page);
+        let cap = self.memory_cap_bytes;
+        if self.memory_bytes() > cap {
+            stages.time(Stage::Link, || self.evict(cap, &mut step.dropped));
         }
-        step.memory_full = self.tree.memory_bytes() > self.memory_cap_bytes;
+        step.memory_full |= self.memory_bytes() > cap;
         step.lacking = stages.time(Stage::Update, || self.collect_wants(step.memory_full));
         step.triangles = stages.time(Stage::Triangulate, || self.tree.triangulate());
         step.waiting = self.arrived.len();
@@ -201,6 +323,8 @@ impl Terrain {
         let open = |wish: &&Wish| !memory_full && !self.lost.is_missing(wish.page);
         let wants = wishes.iter().filter(open).map(|wish| self.to_want(wish));
         self.wants = wants.collect();
+        let lost = |wish: &&Wish| self.lost.is_missing(wish.page);
+        self.lacking = wishes.len() - wishes.iter().filter(lost).count();
         wishes.len()
     }
 
@@ -220,6 +344,12 @@ impl Terrain {
             return;
         };
         if chunk.first_part == 0 && self.is_in_order(id) {
+            return;
+        }
+        let is_new = self.tree.page(id).is_none();
+        if is_new && (step.memory_full || !self.makes_room(&mut step.dropped)) {
+            step.memory_full = true;
+            step.orphans.push(id);
             return;
         }
         let page = stages.time(Stage::Decode, || self.decode(id, chunk));

@@ -20,6 +20,8 @@ pub mod host;
 
 pub mod drive;
 
+pub mod carried;
+
 pub mod liar;
 
 pub mod raw;

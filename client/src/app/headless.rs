@@ -108,14 +108,18 @@ impl Driver {
         }
     }
 
-    /// Checks that the server still hosts what it did, as scenes and flights are made for it.
+    /// Checks that the server still hosts what it did, or a newer generation of it, as scenes and
+    /// flights are made for its place.
     ///
     /// # Errors
     /// If it does not.
     pub fn check_same(&self, manifest: &Manifest) -> Result<()> {
+        let is_same = |now: &Manifest| {
+            now.grid_levels == manifest.grid_levels && now.georef == manifest.georef
+        };
         match self.client.manifest() {
-            Some(now) if *now != *manifest => {
-                bail!("the server has another dataset, or generation, at this address than before")
+            Some(now) if !is_same(&now) => {
+                bail!("the server has another dataset at this address than before")
             }
             _ => Ok(()),
         }

@@ -108,9 +108,14 @@ pub(super) struct ServerArgs {
     /// Address of the dataset, http://HOST:PORT/NAME
     #[arg(value_name = "URL")]
     url: Url,
-    /// Most memory for resident pages, MB; the GPU's copy of what is drawn comes on top
+    /// Most memory for pages, MB: where more would be needed, the tolerance is widened. The GPU's
+    /// copy of what is drawn comes on top
     #[arg(long, default_value_t = 1024, value_name = "MB", value_parser = clap::value_parser!(u32).range(16..))]
     memory_mb: u32,
+    /// Most memory of the GPU for what is drawn, MB: where more would be needed, the tolerance is
+    /// widened; default: no limit
+    #[arg(long, value_name = "MB", value_parser = clap::value_parser!(u32).range(1..))]
+    gpu_mb: Option<u32>,
     /// Ask for every page, instead of letting the server send what the view needs
     #[arg(long)]
     pull_only: bool,
@@ -124,6 +129,7 @@ impl ServerArgs {
     pub(super) fn open(&self, mesh: &MeshArgs, budget: FrameBudget) -> Result<RemoteTerrain> {
         let options = ClientOptions {
             memory_cap_bytes: (self.memory_mb as usize).saturating_mul(1 << 20),
+            gpu_cap_bytes: self.gpu_mb.map(|mb| u64::from(mb) << 20),
             mesh: mesh.options()?,
             push: !self.pull_only,
             max_ms: mesh.max_ms,

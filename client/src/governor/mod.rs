@@ -1,4 +1,4 @@
-//! Budgets of triangles and time: the tolerance that keeps to them. No clock and no mesh: it is
+//! Budgets of triangles, time and memory: the tolerance that keeps to them. No clock and no mesh: it is
 //! told, frame by frame, what the last tolerance came to.
 //!
 //! The logarithm of the tolerance is controlled, as triangles fall with a power of it:
@@ -16,6 +16,7 @@ mod tests;
 
 use escarp_proto::view::SCREEN_ERRORS_PX;
 use gauge::{Ask, Gauge};
+use std::fmt::{self, Display};
 
 /// Allowed budgets of triangles. The coarsest mesh has two; a budget below a few is never met.
 pub const TRIANGLE_BUDGETS: [u64; 2] = [16, u32::MAX as u64];
@@ -34,25 +35,63 @@ pub struct Budgets {
     pub max_triangles: Option<u64>,
     /// Most milliseconds of the stages that grow with the mesh.
     pub max_ms: Option<f64>,
+    /// Most bytes of the pages that the mesh needs.
+    pub max_memory_bytes: Option<u64>,
+    /// Most bytes of what is drawn, on the GPU.
+    pub max_gpu_bytes: Option<u64>,
 }
 
 /// What a frame came to.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Load {
     /// Triangles of the mesh.
     pub triangles: u64,
     /// What the stages that grow with the mesh took, milliseconds.
     pub ms: f64,
+    /// Bytes of the pages that the mesh needs, those that it lacks included; 0 if nobody knows.
+    pub memory_bytes: u64,
+    /// Bytes of what is drawn, on the GPU; 0 if nobody knows.
+    pub gpu_bytes: u64,
     /// All pages that the tolerance asks for are here.
     pub settled: bool,
+}
+
+/// What a tolerance can be widened for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Limit {
+    /// [`Budgets::max_triangles`].
+    Triangles,
+    /// [`Budgets::max_ms`].
+    Time,
+    /// [`Budgets::max_memory_bytes`].
+    Memory,
+    /// [`Budgets::max_gpu_bytes`].
+    Gpu,
+}
+
+impl Limit {
+    const ALL: [Limit; 4] = [Limit::Triangles, Limit::Time, Limit::Memory, Limit::Gpu];
+}
+
+impl Display for Limit {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Limit::Triangles => "triangle budget",
+            Limit::Time => "time budget",
+            Limit::Memory => "memory cap",
+            Limit::Gpu => "GPU memory cap",
+        })
+    }
 }
 
 /// Chooses the tolerance, frame by frame: [`tolerance_px`](Self::tolerance_px), then the frame,
 /// then [`observe`](Self::observe).
 #[derive(Debug, Clone)]
 pub struct Governor {
-    triangles: Option<Gauge>,
-    ms: Option<Gauge>,
+    /// Of each [`Limit`].
+    gauges: [Option<Gauge>; Limit::ALL.len()],
+    /// What the tolerance was raised for last.
+    limit: Limit,
     /// Logarithms of the tolerance in use, and of the one wished for.
     level: f64,
     wished: f64,
@@ -71,10 +110,13 @@ impl Governor {
         });
         let [least, most] = TIME_BUDGETS_MS;
         let ms = budgets.max_ms.filter(|ms| !ms.is_nan());
+        let ms = ms.map(|ms| Gauge::of_time(ms.clamp(least, most)));
+        let of_bytes = |most: Option<u64>| most.map(|most| Gauge::of_count(most.max(1) as f64));
+        let memory = of_bytes(budgets.max_memory_bytes);
         let wished = f64::from(SCREEN_ERRORS_PX[0]).ln();
         Governor {
-            triangles,
-            ms: ms.map(|ms| Gauge::of_time(ms.clamp(least, most))),
+            gauges: [triangles, ms, memory, of_bytes(budgets.max_gpu_bytes)],
+            limit: Limit::Triangles,
             level: wished,
             wished,
             held: 0,
@@ -101,22 +143,38 @@ impl Governor {
         }
     }
 
+    /// What the tolerance is wider for than wished, if it is.
+    pub fn limit(&self) -> Option<Limit> {
+        (self.level > self.wished).then_some(self.limit)
+    }
+
     /// Whether the tolerance stands, as far as the last frames tell: a program that waits for its
     /// best picture may stop.
     pub fn is_steady(&self) -> bool {
-        let gauges = [&self.triangles, &self.ms];
-        let needed = gauges.into_iter().flatten().map(Gauge::patience).max();
+        let needed = self.gauges.iter().flatten().map(Gauge::patience).max();
         self.held >= needed.unwrap_or(0)
     }
 
     /// Takes what the frame with the last tolerance came to.
     pub fn observe(&mut self, load: &Load) {
         let (level, held) = (self.level, self.held);
-        let triangles = self.triangles.as_mut();
-        let triangles = triangles.map(|gauge| gauge.observe(level, held, load.triangles as f64));
-        let ms = self.ms.as_mut();
-        let ms = ms.map(|gauge| gauge.observe(level, held, load.ms));
-        let step = together(triangles, ms).map_or(0.0, |ask| match ask {
+        let values = [
+            load.triangles as f64,
+            load.ms,
+            load.memory_bytes as f64,
+            load.gpu_bytes as f64,
+        ];
+        let mut all = None;
+        for ((gauge, value), limit) in self.gauges.iter_mut().zip(values).zip(Limit::ALL) {
+            let ask = gauge
+                .as_mut()
+                .map(|gauge| gauge.observe(level, held, value));
+            if matches!(ask, Some(Ask::Raise(_))) {
+                self.limit = limit;
+            }
+            all = together(all, ask);
+        }
+        let step = all.map_or(0.0, |ask| match ask {
             Ask::Raise(step) => step,
             Ask::Hold => 0.0,
             Ask::Lower(step) => -step.min(FALLS[usize::from(!load.settled)]),

@@ -73,6 +73,7 @@ impl Plant {
             triangles: count.max(2.0) as u64,
             ms: count / 1e5,
             settled: self.here <= tolerance,
+            ..Default::default()
         }
     }
 }
@@ -92,6 +93,7 @@ fn of_triangles(budget: u64) -> Governor {
     Governor::new(Budgets {
         max_triangles: Some(budget),
         max_ms: None,
+        ..Default::default()
     })
 }
 
@@ -115,6 +117,7 @@ fn without_a_budget_or_below_it_the_tolerance_is_the_one_wished_for() {
         Budgets {
             max_triangles: Some(1 << 30),
             max_ms: Some(10_000.0),
+            ..Default::default()
         },
     ] {
         let mut governor = Governor::new(budgets);
@@ -227,6 +230,7 @@ fn a_mesh_that_jumps_over_its_budget_is_left_on_the_lower_side() {
                 triangles,
                 ms: 1.0,
                 settled: true,
+                ..Default::default()
             });
             tolerances.push((tolerance, triangles as f64));
         }
@@ -243,6 +247,7 @@ fn a_time_budget_is_kept_through_noise_spikes_and_the_cost_of_each_change() {
         let mut governor = Governor::new(Budgets {
             max_triangles: None,
             max_ms: Some(4.0),
+            ..Default::default()
         });
         let mut plant = Plant::new(300_000.0, 1.1);
         let mut last = 0.0;
@@ -285,6 +290,7 @@ fn of_two_budgets_the_tighter_one_counts() {
         let mut governor = Governor::new(Budgets {
             max_triangles,
             max_ms,
+            ..Default::default()
         });
         run(&mut governor, &mut Plant::new(400_000.0, 1.0), 1.0, 800)[799]
     };
@@ -303,7 +309,7 @@ proptest! {
         frames in prop::collection::vec(
             (any::<f32>(), any::<u64>(), prop::num::f64::ANY, any::<bool>()), 1..200),
     ) {
-        let mut governor = Governor::new(Budgets { max_triangles, max_ms });
+        let mut governor = Governor::new(Budgets { max_triangles, max_ms, ..Default::default() });
         let [least, most] = SCREEN_ERRORS_PX;
         for (wished, triangles, ms, settled) in frames {
             let tolerance = governor.tolerance_px(wished);
@@ -311,7 +317,7 @@ proptest! {
             if !wished.is_nan() {
                 prop_assert!(tolerance >= wished.clamp(least, most));
             }
-            governor.observe(&Load { triangles, ms, settled });
+            governor.observe(&Load { triangles, ms, settled, ..Default::default() });
         }
     }
 }

@@ -120,7 +120,7 @@ impl SlotSet {
 }
 
 /// What every page takes: its node, heights, states of vertices, bounds, and the mesh's vertices.
-const NODE_BYTES: usize = size_of::<Option<Node>>()
+pub(super) const NODE_BYTES: usize = size_of::<Option<Node>>()
     + PAGE_AREA * (size_of::<i32>() + size_of::<VertexState>() + size_of::<Vertex>())
     + size_of::<Squares>()
     + MESHER_BYTES;
@@ -220,6 +220,13 @@ impl Surface {
 
     pub(super) fn memory_bytes(&self) -> usize {
         self.resident() * NODE_BYTES + self.more_bytes
+    }
+
+    /// Memory of the pages that the mesh uses, bytes: no page above one of these can go, either.
+    pub(super) fn used_bytes(&self) -> usize {
+        let nodes = self.nodes.iter().flatten();
+        let used = nodes.filter(|node| node.enabled > 0);
+        used.map(|node| NODE_BYTES + node.more_bytes()).sum()
     }
 
     pub(super) fn node(&self, index: Index) -> &Node {

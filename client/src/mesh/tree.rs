@@ -4,12 +4,15 @@ use super::audit::{SurfaceTriangle, VertexFlags};
 use super::mesher::{Found, MeshOptions, Mesher};
 use super::morph::Morph;
 use super::page_mesh::PageMesh;
-use super::surface::{LinkError, Surface};
+use super::surface::{LinkError, NODE_BYTES, Surface};
 use super::wants::Wish;
 use escarp_proto::geometry::{GridLevels, PageId};
 use escarp_proto::georef::Georef;
 use escarp_proto::page::{PAGE_AREA, Page};
 use escarp_proto::view::View;
+
+/// More stamps than a tree gives while another one follows it: 100 million updates of 10,000 pages.
+const FAR: u64 = 1 << 40;
 
 /// What an update found.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -86,6 +89,33 @@ impl MeshTree {
     pub fn memory_bytes(&self) -> usize {
         let morph = self.morph.as_ref().map_or(0, Morph::memory_bytes);
         self.surface.memory_bytes() + self.mesher.memory_bytes() + morph
+    }
+
+    /// What a page takes at least, bytes.
+    pub const PAGE_BYTES: usize = NODE_BYTES;
+
+    /// Memory of the pages that the mesh uses, bytes; the others can be evicted.
+    pub fn used_bytes(&self) -> usize {
+        let morph = self.morph.as_ref().map_or(0, Morph::memory_bytes);
+        self.surface.used_bytes() + self.mesher.memory_bytes() + morph
+    }
+
+    /// Memory of the meshes, bytes: as much as the GPU has of them.
+    pub fn mesh_bytes(&self) -> usize {
+        let bytes = |mesh: &PageMesh| {
+            let offsets = mesh
+                .offsets
+                .as_ref()
+                .map_or(0, |offsets| size_of_val(&offsets[..]));
+            size_of_val(&mesh.vertices[..]) + offsets + size_of_val(&mesh.indices[..])
+        };
+        self.meshes().map(bytes).sum()
+    }
+
+    /// Lets no stamp be one that this other tree has given, or will have given by the next update:
+    /// what is drawn of that one can be told from what is drawn of this.
+    pub fn follow(&mut self, other: &MeshTree) {
+        self.surface.stamps = self.surface.stamps.max(other.surface.stamps) + FAR;
     }
 
     /// Links a page whose parent is resident, or more parts of one that is linked.

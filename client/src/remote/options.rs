@@ -2,14 +2,17 @@
 
 use crate::governor::{Budgets, Governor};
 use crate::mesh::{MeshOptions, Metric};
-use crate::terrain::DEFAULT_MEMORY_BYTES;
+use crate::terrain::{DEFAULT_MEMORY_BYTES, room_for_pages};
 use std::time::Duration;
 
 /// How a client works.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ClientOptions {
-    /// Most memory for resident pages, bytes.
+    /// Most memory for resident pages, and for what waits to become some, bytes: the tolerance
+    /// follows.
     pub memory_cap_bytes: usize,
+    /// Most memory of the GPU for what is drawn, bytes: the tolerance follows.
+    pub gpu_cap_bytes: Option<u64>,
     /// How it meshes.
     pub mesh: MeshOptions,
     /// Whether the server may send what is needed unasked, if it can and the mesher goes along.
@@ -25,6 +28,7 @@ impl Default for ClientOptions {
     fn default() -> ClientOptions {
         ClientOptions {
             memory_cap_bytes: DEFAULT_MEMORY_BYTES,
+            gpu_cap_bytes: None,
             mesh: MeshOptions::default(),
             push: true,
             max_ms: None,
@@ -48,6 +52,8 @@ impl ClientOptions {
         Governor::new(Budgets {
             max_triangles: left.map(u64::from),
             max_ms: self.max_ms,
+            max_memory_bytes: Some(room_for_pages(self.memory_cap_bytes) as u64),
+            max_gpu_bytes: self.gpu_cap_bytes,
         })
     }
 }

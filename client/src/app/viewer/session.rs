@@ -310,6 +310,11 @@ impl Session {
         world.stay_above_ground(exaggeration);
         let view = world.camera.view(size, self.settings.error_px);
         let step = client.step(&view, now);
+        // It may have come to a generation whose pages lie elsewhere.
+        self.enter_world(client);
+        let Some(world) = &mut self.world else {
+            return;
+        };
         self.facts.notes.clear();
         self.facts.notes.extend_from_slice(client.notes());
         let began = Instant::now();

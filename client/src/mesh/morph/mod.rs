@@ -99,6 +99,8 @@ struct Place {
 pub(super) struct Morph {
     share: f64,
     places: Vec<Place>,
+    /// Places with a known page.
+    known: usize,
     /// Pages whose weights or offsets are to be done, by level of pages.
     lists: Vec<Vec<Index>>,
     way: Way,
@@ -114,6 +116,7 @@ impl Morph {
         (share >= least).then(|| Morph {
             share: share.min(most),
             places: Vec::new(),
+            known: 0,
             lists: Vec::new(),
             way: Way::default(),
             threshold: 0.0,
@@ -143,8 +146,7 @@ impl Morph {
 
     /// Memory that it takes, bytes.
     pub(super) fn memory_bytes(&self) -> usize {
-        let known = self.places.iter().filter(|place| place.known.is_some());
-        known.count() * (size_of::<Known>() + PAGE_AREA * size_of::<Offset>())
+        self.known * (size_of::<Known>() + PAGE_AREA * size_of::<Offset>())
             + self.places.len() * size_of::<Place>()
     }
 
@@ -159,7 +161,8 @@ impl Morph {
 
     /// A page has gone; none of its vertices was enabled.
     pub(super) fn unlinked(&mut self, page: Index) {
-        self.places[page as usize] = Place::default();
+        let gone = std::mem::take(&mut self.places[page as usize]);
+        self.known -= usize::from(gone.known.is_some());
     }
 
     /// The weight of a page's vertex, for tests and reports; `None` if it is not enabled.
@@ -220,6 +223,7 @@ impl Morph {
             Some(known) if known.own == own => return,
             Some(known) => known.own = own,
             known @ None => {
+                self.known += 1;
                 let bounds = &surface.node(index).mesh.bounds;
                 *known = Some(Box::new(Known {
                     own,

@@ -84,6 +84,7 @@ impl Morph {
         };
         if !any {
             place.known = None;
+            self.known -= 1;
         }
         let shown = surface.node(index).mesh.offsets.as_deref();
         let same = match (shown, &offsets) {
