@@ -1,15 +1,13 @@
 //! A generation of a dataset, ready to be pushed from: its pages, and what of them selections
 //! need.
 
-use crate::sketches::Sketches;
+use crate::sketches::{DEFAULT_SKETCH_BYTES, Sketches};
 use crate::source::PageSource;
 use escarp_proto::select::{Need, Selection};
 use escarp_proto::view::View;
 use escarp_proto::wire::Scope;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Memory for sketches of one generation, bytes.
-const SKETCH_BYTES: usize = 256 << 20;
 /// Scratch that waits for the next selections: as many as are likely to go on at a time.
 const MOST_IDLE: usize = 8;
 
@@ -24,7 +22,7 @@ impl Published {
     /// Of these pages.
     pub fn new(source: Arc<dyn PageSource>) -> Published {
         Published {
-            sketches: Sketches::new(source.clone(), SKETCH_BYTES),
+            sketches: Sketches::new(source.clone(), DEFAULT_SKETCH_BYTES),
             source,
             idle: Mutex::default(),
         }

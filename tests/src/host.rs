@@ -56,15 +56,19 @@ impl Host {
     ///
     /// # Panics
     /// If it does not start.
-    pub fn start_with(
-        port: u16,
-        sources: &[(&str, Arc<dyn PageSource>)],
-        limits: Limits,
-    ) -> Host {
+    pub fn start_with(port: u16, sources: &[(&str, Arc<dyn PageSource>)], limits: Limits) -> Host {
         let catalog = Catalog::default();
         for (name, source) in sources {
             catalog.add(name, source.clone()).expect("a name");
         }
+        Host::of_catalog(port, Arc::new(catalog), limits)
+    }
+
+    /// Hosts a catalog, which may change meanwhile; on a free port if it is 0.
+    ///
+    /// # Panics
+    /// If it does not start.
+    pub fn of_catalog(port: u16, catalog: Arc<Catalog>, limits: Limits) -> Host {
         let runtime = Builder::new_multi_thread()
             .worker_threads(2)
             .enable_all()
@@ -74,14 +78,9 @@ impl Host {
         let listener = listener.unwrap_or_else(|error| panic!("port {port} is not free: {error}"));
         let address = listener.local_addr().expect("an address");
         let (stop, stopped) = oneshot::channel();
-        let served = runtime.spawn(serve(
-            listener,
-            Arc::new(catalog),
-            limits,
-            async {
-                let _ = stopped.await;
-            },
-        ));
+        let served = runtime.spawn(serve(listener, catalog, limits, async {
+            let _ = stopped.await;
+        }));
         Host {
             address,
             runtime: Some(runtime),

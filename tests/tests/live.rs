@@ -237,7 +237,8 @@ fn a_watched_folder_is_hosted_as_it_comes_and_goes() {
     assert_eq!(
         watched
             .borrow_and_update()
-            .source
+            .published
+            .source()
             .generation_id()
             .generation,
         2

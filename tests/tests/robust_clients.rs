@@ -121,10 +121,7 @@ fn ten_thousand_connection_attempts_leave_the_server_and_its_sessions_alone() {
     };
     let Hello(greeting) = Hello::to("demo");
     session.send(&greeting).expect("it listens");
-    assert!(matches!(
-        session.message(),
-        Some(ServerMessage::Welcome(_))
-    ));
+    assert!(matches!(session.message(), Some(ServerMessage::Welcome(_))));
     for wave in 0..40u64 {
         let attempts: Vec<Option<TcpStream>> = (0..250).map(|i| attempt(address, i)).collect();
         drop(attempts);
@@ -229,10 +226,7 @@ fn frames_that_no_client_may_send_end_its_session_and_no_other() {
     let host = hosted(&data, Limits::default());
     let mut witness = RawSocket::open(host.address()).expect("a session");
     witness.send(&message(&hello(0))).expect("it listens");
-    assert!(matches!(
-        witness.message(),
-        Some(ServerMessage::Welcome(_))
-    ));
+    assert!(matches!(witness.message(), Some(ServerMessage::Welcome(_))));
     for (number, (what, bytes)) in forbidden().into_iter().enumerate() {
         let mut socket = RawSocket::open(host.address()).expect("a session");
         socket.send(&message(&hello(0))).expect("it listens");
@@ -268,10 +262,7 @@ fn a_message_in_parts_of_a_byte_with_pings_between_them_is_a_message() {
         let ping = frame(FINAL | opcode::PING, b"between");
         socket.send(&ping).expect("it listens");
     }
-    assert!(matches!(
-        socket.message(),
-        Some(ServerMessage::Welcome(_))
-    ));
+    assert!(matches!(socket.message(), Some(ServerMessage::Welcome(_))));
 }
 
 #[test]
@@ -316,7 +307,11 @@ fn some_message(seed: u32) -> ClientMessage {
         1 => ClientMessage::View {
             sequence: n(2) % 100,
             view: escarp_tests::drive::view_to([f64::from(n(3)), 1.0, 2.0], [4.0, 5.0, 6.0], 1.0),
-            scope: if n(4) % 2 == 0 { Scope::All } else { Scope::InView },
+            scope: if n(4) % 2 == 0 {
+                Scope::All
+            } else {
+                Scope::InView
+            },
         },
         2 | 3 => ClientMessage::Want(
             list()

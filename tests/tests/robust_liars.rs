@@ -4,9 +4,7 @@
 use escarp_client::app::TerrainClient;
 use escarp_client::app::headless::Driver;
 use escarp_proto::geometry::PageId;
-use escarp_proto::wire::{
-    Chunk, Class, ClientMessage, ServerMessage, Want, capability,
-};
+use escarp_proto::wire::{Chunk, Class, ClientMessage, ServerMessage, Want, capability};
 use escarp_tests::drive::{tree, view_over};
 use escarp_tests::files::flip;
 use escarp_tests::host::PATIENCE;

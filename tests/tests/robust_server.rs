@@ -163,7 +163,10 @@ fn segment(dataset: &Path) -> std::path::PathBuf {
         name.starts_with("seg-")
     };
     let size = |path: &std::path::PathBuf| fs::metadata(path).map_or(0, |data| data.len());
-    files.filter(is_segment).max_by_key(size).expect("a segment")
+    files
+        .filter(is_segment)
+        .max_by_key(size)
+        .expect("a segment")
 }
 
 /// Flies while a segment is broken: the server lives, and no mesh has a crack.
@@ -214,7 +217,9 @@ fn a_segment_written_over_under_a_running_server_costs_its_pages_and_nothing_els
 /// What a process takes: resident memory, KiB, and open files.
 fn taken(process: u32) -> Option<(u64, usize)> {
     let status = fs::read_to_string(format!("/proc/{process}/status")).ok()?;
-    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"))?;
+    let line = status
+        .lines()
+        .find_map(|line| line.strip_prefix("VmRSS:"))?;
     let resident = line.trim().trim_end_matches("kB").trim().parse().ok()?;
     let files = fs::read_dir(format!("/proc/{process}/fd")).ok()?.count();
     Some((resident, files))

@@ -4,6 +4,7 @@
 //! parameter everywhere, as the duration since program start. So a test runs it under virtual
 //! time, and a browser can drive it. `proto/PROTOCOL.md` specifies what is said.
 
+mod adopt;
 mod claims;
 mod config;
 mod event;

@@ -22,8 +22,8 @@ const PREFIX: &str = "escarp-";
 const INTERRUPTED: i32 = 130;
 
 /// What a machine needs for a lab.
-pub const NEEDS: &str = "needs Linux, root, the programs ip (iproute2), setpriv and renice \
-                         (util-linux), and a kernel with network namespaces, veth and macvtap";
+pub const NEEDS: &str = "needs Linux, root, the programs ip (iproute2), nice, setpriv and \
+                         renice (coreutils, util-linux), and a kernel with network namespaces, veth and macvtap";
 
 /// Which end of the line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -92,7 +92,8 @@ impl Lab {
         Ok(Lab { owner, line })
     }
 
-    /// A command that runs at one end, and is killed when the thread that starts it ends.
+    /// A command that runs at one end, before other programs of a busy machine, and is killed when
+    /// the thread that starts it ends.
     pub fn command(&self, end: End, program: &Path) -> Command {
         let mut command = Command::new("ip");
         command.args(["netns", "exec", &namespace(self.owner, end)]);

@@ -164,7 +164,12 @@ fn limits(random: &mut Random) -> Limits {
         wanted_pages: random.pick(&[2048, 2048, 40, 5]),
         views_per_second: random.pick(&[20, 20, 5, 60]),
         queued_replies: random.pick(&[1024, 8]),
-        cached_pages: random.pick(&[4096, 4096, 4096, 30]),
+        held_pages: random.pick(&[4096, 4096, 4096, 30]),
+<<<<<<< HEAD
+        push: random.chance(0.8),
+        pushed_pages: random.pick(&[2048, 2048, 10]),
+=======
+>>>>>>> main
         ..Limits::default()
     }
 }

@@ -52,7 +52,10 @@ impl<'a> Server<'a> {
     pub fn publish(&mut self) {
         if self.generation + 1 < GENERATIONS {
             self.generation += 1;
-            self.catalog = hosting(self.ground.source(self.generation));
+            let source = self.ground.source(self.generation);
+            for hosted in self.catalog.all() {
+                hosted.publish(source.clone());
+            }
         }
     }
 
@@ -73,6 +76,8 @@ impl<'a> Server<'a> {
             net.connections[id].down.end(net.now);
         }
         net.listening = false;
+        // The next process opens the dataset anew.
+        self.catalog = hosting(self.ground.source(self.generation));
         Ok(())
     }
 
@@ -117,7 +122,8 @@ impl<'a> Server<'a> {
 
 fn hosting(source: Arc<dyn PageSource>) -> Arc<Catalog> {
     let catalog = Catalog::default();
-    catalog.add("ground", source).expect("the name is one");
+    let added = catalog.add("ground", source);
+    assert!(added.is_ok(), "the name is one");
     Arc::new(catalog)
 }
 
@@ -139,6 +145,9 @@ impl<'a> Served<'a> {
         let now = net.now;
         let connection = &mut net.connections[id];
         self.session.handle_timeout(now - self.opened);
+        if let Some(hosted) = self.session.hosted() {
+            self.session.handle_publication(hosted.published());
+        }
         loop {
             if self.outgoing.is_some() && connection.down.has_room() {
                 if let Some((frame, _)) = self.outgoing.take() {
