@@ -399,6 +399,11 @@ impl Link {
         self.misses.lose(page.key());
     }
 
+    /// The pages that it [holds](Self::holds) from before the manifest changed the last time.
+    pub fn held_before(&self) -> Vec<PageId> {
+        self.held.of_before()
+    }
+
     /// Where the link stands.
     pub const fn state(&self) -> LinkState {
         self.state
