@@ -29,8 +29,8 @@ pub struct Plan {
     pub error_px: f32,
     /// Longest time for a leg, seconds.
     pub limit_s: f64,
-    /// How TCP's senders behave, if not as usual.
-    pub congestion: Option<String>,
+    /// Parameters of the kernel at both ends.
+    pub parameters: Vec<(String, String)>,
 }
 
 impl Plan {
@@ -81,9 +81,7 @@ pub fn measure(folder: &Path, plan: &Plan, step: &dyn Fn(&str)) -> Result<Vec<Ou
     let dataset = Dataset::open(folder).with_context(|| format!("{}", folder.display()))?;
     let views = views(&dataset, plan.error_px)?.map(Sight::from);
     let lab = Lab::new()?;
-    if let Some(name) = &plan.congestion {
-        lab.set_parameter("net.ipv4.tcp_congestion_control", name)?;
-    }
+    lab.set_parameters(&plan.parameters)?;
     let mut command = lab.command(End::Server, &beside("escarp-server")?);
     command
         .arg(folder)

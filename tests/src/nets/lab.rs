@@ -103,13 +103,15 @@ impl Lab {
         command
     }
 
-    /// Sets a kernel parameter of both ends, such as `net.ipv4.tcp_congestion_control`.
+    /// Sets parameters of the kernel at both ends, such as `net.ipv4.tcp_congestion_control`.
     ///
     /// # Errors
     /// If the kernel refuses.
-    pub fn set_parameter(&self, name: &str, value: &str) -> Result<()> {
-        for end in End::BOTH {
-            set_parameter(self.owner, end, name, value)?;
+    pub fn set_parameters(&self, parameters: &[(String, String)]) -> Result<()> {
+        for (name, value) in parameters {
+            for end in End::BOTH {
+                set_parameter(self.owner, end, name, value)?;
+            }
         }
         Ok(())
     }
@@ -164,9 +166,11 @@ fn make_end(owner: u32, end: End) -> Result<()> {
 fn set_parameter(owner: u32, end: End, name: &str, value: &str) -> Result<()> {
     let path = format!("/proc/sys/{}", name.replace('.', "/"));
     let space = namespace(owner, end);
-    let script = format!("echo {value} > {path}");
-    ip(&["netns", "exec", &space, "sh", "-c", &script])
-        .with_context(|| format!("setting {name} to {value}"))
+    let script = "echo \"$1\" > \"$2\"";
+    ip(&[
+        "netns", "exec", &space, "sh", "-c", script, "sh", value, &path,
+    ])
+    .with_context(|| format!("setting {name} to {value}"))
 }
 
 /// A tap's device is named by its number, and lies in `/dev` where that is the kernel's own folder.
