@@ -81,7 +81,6 @@ impl RemoteTerrain {
         };
         let config = LinkConfig {
             push: options.push,
-            token: url.credentials().token().map(str::to_owned),
             ..LinkConfig::new(url.dataset().unwrap_or(""))
         };
         let connection = Connection::with_waker(url, Box::new(wake));
@@ -246,13 +245,15 @@ impl RemoteTerrain {
         self.reasons.clear();
     }
 
-    /// Updates the terrain for a view that is in order, and tells the link what follows.
-    fn update(&mut self, view: &View) {
+    /// Tells the link what is looked at. Whether that is in order.
+    fn look(&mut self, view: &View) -> bool {
         let scope = self.options.mesh.scope().unwrap_or_default();
         let (tested, _) = self.options.mesh.tested(view).clamped();
-        if self.link.set_view_in(&tested, scope, self.now).is_err() {
-            return;
-        }
+        self.link.set_view_in(&tested, scope, self.now).is_ok()
+    }
+
+    /// Updates the terrain for a view that is in order, and tells the link what follows.
+    fn update(&mut self, view: &View) {
         let clock = Instant::now();
         let now = || clock.elapsed();
         // What the mesh took last time it takes about this time, too.
@@ -350,9 +351,13 @@ impl TerrainClient for RemoteTerrain {
 
     fn step(&mut self, view: &View, now: Duration) -> StepStats {
         self.now = now;
-        self.drive();
         let view = self.govern(view);
-        self.update(&view);
+        // Before a connection is made: the view goes with its first messages.
+        let is_in_order = self.look(&view);
+        self.drive();
+        if is_in_order {
+            self.update(&view);
+        }
         self.observe();
         self.drive();
         let link = self.link.stats();

@@ -147,6 +147,9 @@ impl Dataset {
     }
 }
 
+/// A family's table, and the family's number.
+type Table = (usize, Bytes);
+
 /// Tables that are kept in memory, at most: of at most 1.6 KiB each.
 const KEPT_TABLES: usize = 4096;
 /// Set where a checksum is known.
@@ -159,7 +162,7 @@ pub(super) struct Checked {
     /// all its records were right. One checksum then does for some 250.
     families: Box<[AtomicU64]>,
     /// Tables that were right, each in the slot of its family's number.
-    tables: Box<[Mutex<Option<(usize, Bytes)>>]>,
+    tables: Box<[Mutex<Option<Table>>]>,
 }
 
 impl Checked {

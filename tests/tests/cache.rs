@@ -13,7 +13,7 @@ use std::time::Duration;
 
 fn rough(x: u32, y: u32) -> f64 {
     let hills = 300.0 * (f64::from(x) / 41.0).sin() * (f64::from(y) / 53.0).cos();
-    (hills + f64::from((x * 31 ^ y * 17) % 23)).round()
+    (hills + f64::from(((x * 31) ^ (y * 17)) % 23)).round()
 }
 
 fn client(url: &Url, folder: &Path, offline: bool) -> Driver {

@@ -243,7 +243,10 @@ fn a_lying_server_gets_an_error_and_leaves_no_dataset() {
     let data = TempDataset::of(900, 600, land);
     let lies: [(Change, &str); 3] = [
         (|chunk| chunk.bytes[0] ^= 0x40, "revision"),
-        (|chunk| drop(chunk.bytes.pop()), "revision"),
+        (
+            |chunk| chunk.bytes.truncate(chunk.bytes.len() - 1),
+            "revision",
+        ),
         (
             |chunk| {
                 // A sound record of another place.

@@ -77,7 +77,7 @@ impl Pushes {
     /// Replaces all that waits by what these needs lack. How many pieces were dropped for it.
     pub(super) fn replace(&mut self, needs: &[Need], held: &Held) -> usize {
         let dropped = self.now.len() + self.ahead.len();
-        self.now = cut(needs, held, |class| Some(class));
+        self.now = cut(needs, held, Some);
         self.ahead = Vec::new();
         dropped
     }

@@ -250,12 +250,6 @@ impl<'a> Client<'a> {
             .is_some_and(|remote| remote.is_connected() && remote.is_settled())
     }
 
-    /// The generation that it shows.
-    pub fn generation(&self) -> Option<u64> {
-        let terrain = self.remote.as_ref()?.terrain()?;
-        Some(terrain.manifest().generation)
-    }
-
     /// Where it stands, for people.
     pub fn status(&self) -> String {
         let status = self.remote.as_ref().map(TerrainClient::status);

@@ -183,7 +183,7 @@ impl<'a> Served<'a> {
                 None => break,
             }
         }
-        Ok(!(self.outgoing.as_ref()).is_some_and(|(_, since)| now >= *since + limits.send_timeout))
+        Ok((self.outgoing.as_ref()).is_none_or(|(_, since)| now < *since + limits.send_timeout))
     }
 
     fn hear(&mut self, frame: Frame, now: Duration) -> Result<(), String> {
