@@ -165,8 +165,7 @@ fn limits(random: &mut Random) -> Limits {
         views_per_second: random.pick(&[20, 20, 5, 60]),
         queued_replies: random.pick(&[1024, 8]),
         held_pages: random.pick(&[4096, 4096, 4096, 30]),
-        push: random.chance(0.8),
-        pushed_pages: random.pick(&[2048, 2048, 10]),
+        pushed_pages: random.pick(&[2048, 2048, 2048, 10, 0]),
         ..Limits::default()
     }
 }
