@@ -1,6 +1,7 @@
 //! A terrain behind a connection: what the programs of the client drive.
 
 mod generations;
+mod kept;
 mod options;
 
 pub use options::ClientOptions;
@@ -40,6 +41,7 @@ pub struct RemoteTerrain {
     connection: Box<dyn Carrier>,
     generations: Generations,
     options: ClientOptions,
+    kept: Option<kept::Kept>,
     governor: Governor,
     waker: SharedWaker,
     now: Duration,
@@ -79,6 +81,7 @@ impl RemoteTerrain {
         };
         let config = LinkConfig {
             push: options.push,
+            token: url.credentials().token().map(str::to_owned),
             ..LinkConfig::new(url.dataset().unwrap_or(""))
         };
         let connection = Connection::with_waker(url, Box::new(wake));
@@ -101,6 +104,7 @@ impl RemoteTerrain {
             link,
             connection,
             generations: Generations::default(),
+            kept: None,
             governor: options.governor(),
             options,
             waker: SharedWaker::default(),
@@ -135,6 +139,7 @@ impl RemoteTerrain {
         let terrain = self.generations.newest();
         under_way
             || self.generations.is_changing()
+            || self.awaits_kept()
             || terrain.is_none_or(|t| !t.wants().is_empty() || t.waiting() > 0)
     }
 
@@ -197,6 +202,7 @@ impl RemoteTerrain {
                 }
             }
             Event::Chunk(chunk) => {
+                self.keep(&chunk);
                 if let Some(terrain) = self.generations.newest_mut() {
                     terrain.receive(chunk);
                 }
@@ -216,13 +222,19 @@ impl RemoteTerrain {
                 self.refused = Some(self.link.trouble().map_or(text, str::to_owned));
             }
             Event::GenChange { manifest } => self.start_anew(manifest),
-            Event::Confirmed => self.generations.confirm(|page| self.link.holds(page)),
+            Event::Confirmed => {
+                let cap = self.options.memory_cap_bytes;
+                let same = self.link.held_before();
+                let missing = self.generations.confirm(same, cap);
+                self.link.evict(&missing);
+            }
             Event::Refused { .. } | Event::Idle { .. } | Event::Disconnected { .. } => {}
         }
     }
 
     /// From here on, chunks are of another generation.
     fn start_anew(&mut self, manifest: Arc<Manifest>) {
+        self.keep_manifest(&manifest);
         let ClientOptions {
             memory_cap_bytes,
             mesh,
@@ -272,6 +284,7 @@ impl RemoteTerrain {
         self.link.evict(&step.dropped);
         self.link.discard(&step.orphans);
         for refusal in &step.refused {
+            self.keep_no_more(refusal.page);
             match refusal.again {
                 true => self.link.evict(&[refusal.page]),
                 false => self.link.reject(refusal.page),
@@ -282,8 +295,10 @@ impl RemoteTerrain {
                 self.note_reason(refusal.page, &refusal.why.to_string());
             }
         }
-        if let Some(terrain) = self.generations.newest() {
-            self.link.set_wants(terrain.wants(), self.now);
+        let newest = self.generations.newest();
+        if let Some(wants) = newest.map(|terrain| terrain.wants().to_vec()) {
+            let left = self.ask_disk(&wants);
+            self.link.set_wants(&left, self.now);
         }
         self.last_step = step;
     }
@@ -327,19 +342,19 @@ impl TerrainClient for RemoteTerrain {
 
     fn poll(&mut self, now: Duration) {
         self.now = now;
-        self.connection.drive(&mut self.link, now);
+        self.drive();
         self.handle_events();
         // What the events led to is sent at once.
-        self.connection.drive(&mut self.link, now);
+        self.drive();
     }
 
     fn step(&mut self, view: &View, now: Duration) -> StepStats {
         self.now = now;
-        self.connection.drive(&mut self.link, now);
+        self.drive();
         let view = self.govern(view);
         self.update(&view);
         self.observe();
-        self.connection.drive(&mut self.link, now);
+        self.drive();
         let link = self.link.stats();
         let terrain = self.generations.shown();
         let excess = terrain.map_or(f64::INFINITY, |_| self.last_step.excess);
@@ -406,6 +421,9 @@ impl TerrainClient for RemoteTerrain {
             (Some(first), 0) => format!(", {} pages asked for again ({first})", self.refusals),
             (Some(first), lost) => format!(", {lost} pages lost ({first})"),
         };
+        if self.is_offline() {
+            return format!("offline, from the disk{full}{lost}");
+        }
         match self.link.state() {
             LinkState::Waiting { retry_at } => {
                 let seconds = retry_at.saturating_sub(self.now).as_secs_f32().ceil();

@@ -159,16 +159,22 @@ impl Terrain {
         self.tree.memory_bytes() + notes + waiting
     }
 
-    /// Memory of the pages that the last view needs, those that it lacks included, bytes; or a
-    /// bound of it where that is far below the cap.
+    /// Memory that the last view needs, with the pages that it lacks, bytes; or a bound of it where
+    /// that is far below the cap.
     pub fn needed_bytes(&self) -> usize {
-        let lacking = self.lacking * (MeshTree::PAGE_BYTES + NOTES_BYTES);
-        let resident = self.tree.memory_bytes();
-        let used = match resident + lacking > self.memory_cap_bytes / 2 {
-            true => self.tree.used_bytes(),
-            false => resident,
-        };
-        used + lacking
+        let all = self.memory_bytes() + self.lacking * (MeshTree::PAGE_BYTES + NOTES_BYTES);
+        match all > self.memory_cap_bytes / 2 {
+            true => {
+                let idle = (self.tree.memory_bytes()).saturating_sub(self.tree.used_bytes());
+                all.saturating_sub(idle)
+            }
+            false => all,
+        }
+    }
+
+    /// Keeps no more than half of its cap, or what the mesh uses.
+    pub fn shrink(&mut self) {
+        self.evict(self.memory_cap_bytes / 2, &mut Vec::new());
     }
 
     /// Whether there is room for another page, after those that are not of use have made place.

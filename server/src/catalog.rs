@@ -15,7 +15,14 @@ use tokio::sync::watch;
 /// Longest name of a dataset, bytes.
 pub const MAX_NAME: usize = 128;
 /// First parts of the server's own addresses, which no dataset may take.
-pub const RESERVED: [&str; 5] = ["datasets", "healthz", "metrics", "readyz", "session"];
+pub const RESERVED: [&str; 6] = [
+    "datasets",
+    "healthz",
+    "metrics",
+    "readyz",
+    "session",
+    "openapi.json",
+];
 
 /// Named datasets.
 #[derive(Default)]

@@ -53,4 +53,5 @@ pub use limits::Limits;
 pub use published::Published;
 pub use serve::{Serving, serve};
 pub use session::Session;
+pub use sketches::Sketches;
 pub use source::{PageSource, SourceError};

@@ -37,7 +37,7 @@ macro_rules! metrics {
         #[derive(Debug)]
         pub struct Metrics {
             $($(#[doc = $doc])+ pub $name: $kind,)*
-            routes: RwLock<BTreeMap<Box<str>, Arc<str>>>,
+            routes: RwLock<BTreeMap<Box<str>, Arc<Counted>>>,
             started: SystemTime,
             registry: Registry,
         }
@@ -122,6 +122,15 @@ metrics! {
 
 /// A counter for each reason.
 pub type ByReason = Family<[(&'static str, &'static str); 1], Counter>;
+/// What is counted for one route, at hand: most answers have status 200.
+#[derive(Debug)]
+struct Counted {
+    route: Route,
+    ok: Counter,
+    bytes: Counter,
+    seconds: Histogram,
+}
+
 /// The label with a route.
 type Route = [(&'static str, Arc<str>); 1];
 /// The label with a status.
@@ -179,27 +188,36 @@ impl Metrics {
     /// A request was answered: by the route as the router knows it, such as `/{name}/manifest`,
     /// or `None` if no route was found. `bytes` is the body's length, where it is known.
     pub fn request_answered(&self, route: Option<&str>, status: u16, bytes: u64, took: Duration) {
-        let route = [("route", self.interned(route.unwrap_or("none")))];
+        let counted = self.counted(route.unwrap_or("none"));
+        match status {
+            200 => _ = counted.ok.inc(),
+            _ => _ = self.requests(&counted.route, status).inc(),
+        }
+        counted.bytes.inc_by(bytes);
+        counted.seconds.observe(took.as_secs_f64());
+    }
+
+    fn requests(&self, route: &Route, status: u16) -> Counter {
         let labels = (route.clone(), [("status", status)]);
-        self.http_requests.get_or_create(&labels).inc();
-        self.http_response_bytes.get_or_create(&route).inc_by(bytes);
-        self.http_request_seconds
-            .get_or_create(&route)
-            .observe(took.as_secs_f64());
+        self.http_requests.get_or_create_owned(&labels)
     }
 
     /// Routes are few, and come again and again.
-    fn interned(&self, route: &str) -> Arc<str> {
+    fn counted(&self, route: &str) -> Arc<Counted> {
         let routes = self.routes.read().unwrap_or_else(PoisonError::into_inner);
         if let Some(known) = routes.get(route) {
             return known.clone();
         }
         drop(routes);
+        let label: Route = [("route", route.into())];
+        let counted = Arc::new(Counted {
+            ok: self.requests(&label, 200),
+            bytes: self.http_response_bytes.get_or_create_owned(&label),
+            seconds: self.http_request_seconds.get_or_create_owned(&label),
+            route: label,
+        });
         let mut routes = self.routes.write().unwrap_or_else(PoisonError::into_inner);
-        routes
-            .entry(route.into())
-            .or_insert_with(|| route.into())
-            .clone()
+        routes.entry(route.into()).or_insert(counted).clone()
     }
 
     /// All of it as text, with the generations of the datasets and the state of the process.

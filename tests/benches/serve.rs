@@ -99,17 +99,13 @@ fn run(args: &Args) -> Result<(), Box<dyn std::error::Error>> {
     if Nginx::is_installed() {
         servers.push(nginx(&dataset, &kinds)?);
     }
-    let own = [program("escarp-server")
-        .get_program()
-        .to_string_lossy()
-        .into_owned()];
-    let named = if args.servers.is_empty() {
-        &own[..]
-    } else {
-        &args.servers
-    };
-    for server in named {
+    for server in &args.servers {
         servers.push(ours(server, &args.dataset, &dataset)?);
+    }
+    if args.servers.is_empty() {
+        let own = program("escarp-server");
+        let own = own.get_program().to_string_lossy();
+        servers.push(ours(&own, &args.dataset, &dataset)?);
     }
     for (kind, targets) in &kinds {
         let mean = targets.iter().map(|(_, bytes)| bytes.len()).sum::<usize>() / targets.len();

@@ -61,6 +61,14 @@ impl Host {
         for (name, source) in sources {
             catalog.add(name, source.clone()).expect("a name");
         }
+        Host::of_catalog(port, Arc::new(catalog), limits)
+    }
+
+    /// Hosts a catalog, which may change meanwhile; on a free port if it is 0.
+    ///
+    /// # Panics
+    /// If it does not start.
+    pub fn of_catalog(port: u16, catalog: Arc<Catalog>, limits: Limits) -> Host {
         let runtime = Builder::new_multi_thread()
             .worker_threads(2)
             .enable_all()
@@ -70,7 +78,7 @@ impl Host {
         let listener = listener.unwrap_or_else(|error| panic!("port {port} is not free: {error}"));
         let address = listener.local_addr().expect("an address");
         let (stop, stopped) = oneshot::channel();
-        let served = runtime.spawn(serve(listener, Arc::new(catalog), limits, async {
+        let served = runtime.spawn(serve(listener, catalog, limits, async {
             let _ = stopped.await;
         }));
         Host {

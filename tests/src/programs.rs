@@ -164,6 +164,14 @@ impl ServerProcess {
         command
             .args(datasets)
             .args(["--listen", &format!("127.0.0.1:{port}")]);
+        ServerProcess::of(command, datasets.len())
+    }
+
+    /// As [`start`](Self::start), with a command line of its own.
+    ///
+    /// # Panics
+    /// If it does not print so many addresses.
+    pub fn of(mut command: Command, datasets: usize) -> ServerProcess {
         let mut child = command
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
@@ -193,7 +201,7 @@ impl ServerProcess {
             urls: Vec::new(),
             log,
         };
-        for _ in datasets {
+        for _ in 0..datasets {
             let line = lines
                 .recv_timeout(PATIENCE)
                 .unwrap_or_else(|_| panic!("the server prints no address: {}", server.log()));
@@ -225,6 +233,11 @@ impl ServerProcess {
         let rest = self.urls[0].trim_start_matches("http://");
         let address = rest.split('/').next().unwrap_or_default();
         address.parse().expect("an address")
+    }
+
+    /// Sends a signal by name.
+    pub fn tell(&self, signal: &str) {
+        send(self.child.id(), signal);
     }
 
     /// Sends a signal by name, and waits for the end.

@@ -36,7 +36,7 @@ fn every_client_converges_over_a_line_with_delay_and_loss_and_nothing_is_left_be
         repeats: 1,
         error_px: 2.0,
         limit_s: 50.0,
-        congestion: None,
+        parameters: Vec::new(),
     };
     let outcomes = measure(&dataset, &plan, &|_| {}).expect("it is measured");
     assert_eq!(outcomes.len(), Kind::ALL.len());

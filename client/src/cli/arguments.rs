@@ -1,15 +1,17 @@
 //! Arguments that the commands share, and how they are read.
 
+use crate::cache::{CacheOptions, DEFAULT_CACHE_BYTES, default_folder};
 use crate::camera::overview;
 use crate::governor::{TIME_BUDGETS_MS, TRIANGLE_BUDGETS};
 use crate::mesh::{DEFAULT_MORPH, MORPH_SHARES, MeshOptions, MesherKind, Metric};
-use crate::net::Url;
+use crate::net::{Credentials, TOKEN_VARIABLE, Url};
 use crate::remote::{ClientOptions, RemoteTerrain};
 use anyhow::{Result, bail};
 use clap::Args;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use escarp_proto::manifest::Manifest;
 use escarp_proto::view::{FARTHEST_EYE_M, SCREEN_ERRORS_PX};
+use std::path::PathBuf;
 use std::str::FromStr;
 use std::time::Duration;
 
@@ -105,9 +107,15 @@ impl FromStr for FrameBudget {
 /// Where to connect to.
 #[derive(Debug, Clone, Args)]
 pub(super) struct ServerArgs {
-    /// Address of the dataset, http://HOST:PORT/NAME
+    /// Address of the dataset, http://HOST:PORT/NAME, or https:// for TLS
     #[arg(value_name = "URL")]
     url: Url,
+    /// File with the token that opens the dataset; without it, ESCARP_TOKEN has the token itself
+    #[arg(long, value_name = "FILE")]
+    token: Option<PathBuf>,
+    /// Certificates (PEM) to believe in place of the system's, for a server of a private authority
+    #[arg(long, value_name = "FILE")]
+    ca: Option<PathBuf>,
     /// Most memory for pages, MB: where more would be needed, the tolerance is widened. The GPU's
     /// copy of what is drawn comes on top
     #[arg(long, default_value_t = 1024, value_name = "MB", value_parser = clap::value_parser!(u32).range(16..))]
@@ -119,13 +127,23 @@ pub(super) struct ServerArgs {
     /// Ask for every page, instead of letting the server send what the view needs
     #[arg(long)]
     pull_only: bool,
+    /// Most MB of received pages to keep on disk for later runs, of all datasets together; 0 keeps
+    /// and uses none. Default: 256, but 0 for fly
+    #[arg(long, value_name = "MB", value_parser = clap::value_parser!(u32).range(..=1_000_000))]
+    cache_mb: Option<u32>,
+    /// Folder to keep them in. Default: escarp in $XDG_CACHE_HOME, or in ~/.cache
+    #[arg(long, value_name = "DIR")]
+    cache: Option<PathBuf>,
+    /// Show what is kept on disk, without a server
+    #[arg(long)]
+    offline: bool,
 }
 
 impl ServerArgs {
     /// Begins to connect.
     ///
     /// # Errors
-    /// If what is said of the mesh does not go together.
+    /// If what is said of the mesh does not go together, or there is no token where one should be.
     pub(super) fn open(&self, mesh: &MeshArgs, budget: FrameBudget) -> Result<RemoteTerrain> {
         let options = ClientOptions {
             memory_cap_bytes: (self.memory_mb as usize).saturating_mul(1 << 20),
@@ -135,7 +153,37 @@ impl ServerArgs {
             max_ms: mesh.max_ms,
             frame_budget: budget.0,
         };
-        Ok(RemoteTerrain::with_options(self.url.clone(), options))
+        let variable = std::env::var(TOKEN_VARIABLE).ok();
+        let credentials = Credentials::read(self.token.as_deref(), variable, self.ca.clone())?;
+        let url = self.url.clone().with_credentials(credentials);
+        let mut terrain = RemoteTerrain::with_options(url, options);
+        match self.cache_options()? {
+            Some(cache) => terrain.keep_on_disk(cache, &self.url),
+            None if self.offline => bail!("--offline needs a cache; give --cache-mb or --cache"),
+            None => {}
+        }
+        if self.offline {
+            terrain.stay_offline();
+        }
+        Ok(terrain)
+    }
+
+    /// The same for what is to be measured: without a cache, unless one is asked for.
+    pub(super) fn uncached(mut self) -> ServerArgs {
+        if self.cache.is_none() && !self.offline {
+            self.cache_mb.get_or_insert(0);
+        }
+        self
+    }
+
+    fn cache_options(&self) -> Result<Option<CacheOptions>> {
+        let cap_bytes = match self.cache_mb {
+            Some(0) => return Ok(None),
+            Some(mb) => u64::from(mb) << 20,
+            None => DEFAULT_CACHE_BYTES,
+        };
+        let folder = self.cache.clone().or_else(default_folder);
+        Ok(folder.map(|folder| CacheOptions { folder, cap_bytes }))
     }
 }
 

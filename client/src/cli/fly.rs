@@ -41,7 +41,12 @@ pub(super) struct FlyArgs {
 
 pub(super) fn run(args: &FlyArgs) -> Result<()> {
     let flight = args.path.as_ref().map(read_path).transpose()?;
-    let mut driver = Driver::new(args.server.open(&args.mesh, args.frame_budget_ms)?);
+    let mut driver = Driver::new(
+        args.server
+            .clone()
+            .uncached()
+            .open(&args.mesh, args.frame_budget_ms)?,
+    );
     let manifest = driver.connect(Duration::from_secs(args.wait))?;
     let flight = flight.unwrap_or_else(|| default_path(&manifest));
     let options = FlyOptions {

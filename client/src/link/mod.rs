@@ -4,6 +4,7 @@
 //! parameter everywhere, as the duration since program start. So a test runs it under virtual
 //! time, and a browser can drive it. `proto/PROTOCOL.md` specifies what is said.
 
+mod adopt;
 mod claims;
 mod config;
 mod event;
@@ -396,6 +397,11 @@ impl Link {
     pub fn reject(&mut self, page: PageId) {
         self.discard(&[page]);
         self.misses.lose(page.key());
+    }
+
+    /// The pages that it [holds](Self::holds) from before the manifest changed the last time.
+    pub fn held_before(&self) -> Vec<PageId> {
+        self.held.of_before()
     }
 
     /// Where the link stands.

@@ -146,6 +146,7 @@ impl Link {
             self.held.cut(chunk.page, chunk.first_part);
             self.claim_anew(chunk.page);
         }
+        self.held.age();
         self.confirming = true;
         if self.barrier == Barrier::None || !skipped.is_empty() {
             self.barrier = Barrier::Due;

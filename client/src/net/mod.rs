@@ -5,13 +5,16 @@
 //! bounded, so that a slow network holds messages back in the link, where newer ones replace them,
 //! and a fast server is held back by the socket.
 
+mod credentials;
 mod failure;
 mod thread;
+mod tls;
 mod url;
 
 #[cfg(test)]
 mod tests;
 
+pub use credentials::{Credentials, TOKEN_VARIABLE, TokenError};
 pub use url::{DEFAULT_PORT, Url, UrlError};
 
 use crate::link::Link;

@@ -1,6 +1,7 @@
 //! The network's thread: one attempt to connect after the other, as it is told.
 
 use super::failure;
+use super::tls::{Wire, secured};
 use super::{Url, Waker};
 use escarp_proto::wire::{MAX_CLIENT_MESSAGE, MAX_SERVER_MESSAGE};
 use futures_util::{Sink, SinkExt, Stream, StreamExt};
@@ -111,7 +112,7 @@ impl Worker {
     async fn session(
         &mut self,
         attempt: Attempt,
-        socket: WebSocketStream<TcpStream>,
+        socket: WebSocketStream<Box<dyn Wire>>,
         wanted: &mut watch::Receiver<Option<Attempt>>,
     ) -> Result<String, Superseded> {
         let (mut sink, stream) = socket.split();
@@ -149,7 +150,7 @@ impl Report {
     }
 }
 
-async fn connect(url: &Url) -> Result<WebSocketStream<TcpStream>, String> {
+async fn connect(url: &Url) -> Result<WebSocketStream<Box<dyn Wire>>, String> {
     let connecting = async {
         let stream = TcpStream::connect((url.host(), url.port()))
             .await
@@ -158,6 +159,10 @@ async fn connect(url: &Url) -> Result<WebSocketStream<TcpStream>, String> {
         stream
             .set_nodelay(true)
             .map_err(|error| failure::no_connection(url, &error))?;
+        let stream: Box<dyn Wire> = match url.is_secure() {
+            true => Box::new(secured(url, stream).await?),
+            false => Box::new(stream),
+        };
         let socket = client_async_with_config(url.session(), stream, Some(limits())).await;
         socket
             .map(|(socket, _)| socket)

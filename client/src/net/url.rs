@@ -1,5 +1,6 @@
 //! Addresses of datasets.
 
+use super::Credentials;
 use escarp_proto::wire::MAX_TEXT;
 use std::fmt;
 use std::str::FromStr;
@@ -8,10 +9,11 @@ use thiserror::Error;
 /// The server's usual port, for addresses without scheme and port.
 pub const DEFAULT_PORT: u16 = 8787;
 /// What an address looks like.
-const ALLOWED: &str = "http://HOST:PORT/NAME";
+const ALLOWED: &str = "http://HOST:PORT/NAME, or https://";
 
 /// The address of a dataset on a server: `http://HOST:PORT/NAME`, `ws://HOST:PORT/NAME`, or
-/// `HOST:PORT/NAME`. Without a port, 80 is meant after a scheme, else [`DEFAULT_PORT`]. NAME is
+/// `HOST:PORT/NAME`; over TLS `https://` or `wss://`. Without a port, that of the scheme is meant,
+/// 80 or 443, and without a scheme [`DEFAULT_PORT`]. NAME is
 /// percent-encoded UTF-8; left out, the only dataset of the server is meant.
 ///
 /// ```
@@ -19,13 +21,15 @@ const ALLOWED: &str = "http://HOST:PORT/NAME";
 /// let url: Url = "http://127.0.0.1:8787/south%20pole".parse().unwrap();
 /// assert_eq!(url.dataset(), Some("south pole"));
 /// assert!("http://127.0.0.1:8787/a/b".parse::<Url>().is_err()); // one name only
-/// assert!("https://127.0.0.1/moon".parse::<Url>().is_err()); // no TLS yet
+/// assert!("ftp://127.0.0.1/moon".parse::<Url>().is_err()); // HTTP and WebSocket only
 /// ```
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Url {
+    secure: bool,
     host: String,
     port: u16,
     dataset: Option<String>,
+    credentials: Credentials,
 }
 
 /// Why an address was refused.
@@ -37,6 +41,23 @@ pub struct UrlError {
 }
 
 impl Url {
+    /// The same with what is needed to be let in; it is not shown with the address.
+    #[must_use]
+    pub fn with_credentials(mut self, credentials: Credentials) -> Url {
+        self.credentials = credentials;
+        self
+    }
+
+    /// What is needed to be let in.
+    pub const fn credentials(&self) -> &Credentials {
+        &self.credentials
+    }
+
+    /// Whether the server is reached over TLS.
+    pub const fn is_secure(&self) -> bool {
+        self.secure
+    }
+
     /// Name or IP address of the server; an IPv6 address without its brackets.
     pub fn host(&self) -> &str {
         &self.host
@@ -64,13 +85,15 @@ impl Url {
 
     /// Where the server takes sessions.
     pub fn session(&self) -> String {
-        format!("ws://{}/session", self.authority())
+        let scheme = if self.secure { "wss" } else { "ws" };
+        format!("{scheme}://{}/session", self.authority())
     }
 }
 
 impl fmt::Display for Url {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "http://{}/", self.authority())?;
+        let scheme = if self.secure { "https" } else { "http" };
+        write!(f, "{scheme}://{}/", self.authority())?;
         for byte in self.dataset.iter().flat_map(|name| name.bytes()) {
             match byte {
                 b'A'..=b'Z' | b'a'..=b'z' | b'0'..=b'9' | b'-' | b'.' | b'_' | b'~' => {
@@ -100,25 +123,27 @@ impl FromStr for Url {
 }
 
 fn parse(url: &str) -> Result<Url, String> {
-    let (default_port, rest) = scheme(url)?;
+    let (secure, default_port, rest) = scheme(url)?;
     let (authority, path) = rest.split_once('/').unwrap_or((rest, ""));
     let (host, port) = host_and_port(authority, default_port)?;
     let dataset = dataset(path)?;
     Ok(Url {
+        secure,
         host,
         port,
         dataset,
+        credentials: Credentials::default(),
     })
 }
 
-/// The default port of the scheme, and what follows it.
-fn scheme(url: &str) -> Result<(u16, &str), String> {
+/// Whether the scheme is one of TLS, its default port, and what follows it.
+fn scheme(url: &str) -> Result<(bool, u16, &str), String> {
     let Some((scheme, rest)) = url.split_once("://") else {
-        return Ok((DEFAULT_PORT, url));
+        return Ok((false, DEFAULT_PORT, url));
     };
     match scheme.to_ascii_lowercase().as_str() {
-        "http" | "ws" => Ok((80, rest)),
-        "https" | "wss" => Err(format!("has the scheme {scheme}: TLS is not supported yet")),
+        "http" | "ws" => Ok((false, 80, rest)),
+        "https" | "wss" => Ok((true, 443, rest)),
         _ => Err(format!("has the scheme \"{scheme}\"")),
     }
 }
@@ -220,6 +245,11 @@ mod tests {
         );
         assert_eq!(parts("http://h:1/"), ("h".into(), 1, None));
         assert_eq!(parts("h"), ("h".into(), DEFAULT_PORT, None));
+        assert_eq!(parts("https://moon.example/lola"), moon(443));
+        assert_eq!(parts("wss://moon.example:8787/lola"), moon(8787));
+        let secure: Url = "wss://h/n".parse().unwrap();
+        assert_eq!(secure.session(), "wss://h:443/session");
+        assert_eq!(secure.to_string(), "https://h:443/n");
         let v6: Url = "[::1]:99/n".parse().unwrap();
         assert_eq!(v6.session(), "ws://[::1]:99/session");
     }
@@ -227,11 +257,6 @@ mod tests {
     #[test]
     fn a_wrong_address_is_told_with_what_was_found() {
         let cases = [
-            (
-                "https://h/n",
-                "has the scheme https: TLS is not supported yet",
-            ),
-            ("wss://h/n", "has the scheme wss: TLS is not supported yet"),
             ("ftp://h/n", "has the scheme \"ftp\""),
             ("", "has no host"),
             ("http:///n", "has no host"),
@@ -267,8 +292,9 @@ mod tests {
 
     proptest! {
         #[test]
-        fn what_is_shown_is_understood_again(name in "[^/\\pC]{1,40}", port in 1u16..) {
-            let url = Url { host: "h".into(), port, dataset: Some(name) };
+        fn what_is_shown_is_understood_again(name in "[^/\\pC]{1,40}", port in 1u16.., secure: bool) {
+            let credentials = Credentials::default();
+            let url = Url { secure, host: "h".into(), port, dataset: Some(name), credentials };
             prop_assert_eq!(url.to_string().parse::<Url>(), Ok(url));
         }
 

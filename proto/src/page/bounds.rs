@@ -84,10 +84,64 @@ const fn edges_of_halves(rises: bool) -> [[Edge; 2]; 2] {
 impl Bounds {
     /// Derives all bounds. `promise` is what the parent's slot says of the page; it holds for
     /// every triangle in it, and caps what a page that is not whole must assume.
+    ///
+    /// Bounds never grow when parts arrive: of a page that is not whole, what its fewer parts say
+    /// holds as well.
     pub fn derive(page: &Page, promise: Option<BoxError>) -> Bounds {
-        match uniform(page) {
+        Bounds::derive_by(page, |page| match uniform(page) {
             Some(below) => Bounds::derive_full(page, below, promise),
-            None => Bounds::derive_plain(page, promise),
+            None => Bounds::derive_each(page, promise),
+        })
+    }
+
+    fn derive_by(page: &Page, derive: impl Fn(&Page) -> Bounds) -> Bounds {
+        let mut bounds = derive(page);
+        if page.parts() < page.last_part() && !page.has_holes() {
+            for parts in 1..page.depth() {
+                bounds.meet(&derive(&page.with_fewer(parts)));
+            }
+        }
+        bounds
+    }
+
+    /// Takes over what is known from fewer levels of vertices where it says more. What a cell
+    /// there says holds for all in it. Errors and ranges that are nested stay so.
+    fn meet(&mut self, fewer: &Bounds) {
+        for level in 0..self.depth {
+            for row in 0..1 << level {
+                for column in 0..1 << level {
+                    let known = fewer.square_or_cell(level, column, row);
+                    let square = &mut self.squares[square_index(level, column, row)];
+                    for (edge, known) in square.edges.iter_mut().zip(known.edges) {
+                        *edge = (*edge).min(known);
+                    }
+                    for (half, known) in square.halves.iter_mut().zip(known.halves) {
+                        *half = (*half).min(known);
+                    }
+                    square.range = square.range.intersection(known.range);
+                }
+            }
+        }
+        let side = 1 << self.depth;
+        for (i, cell) in self.cells.iter_mut().enumerate() {
+            let known = fewer.square_or_cell(self.depth, i % side, i / side);
+            cell.error = cell.error.min(known.halves[0]);
+            cell.range = cell.range.intersection(known.range);
+        }
+    }
+
+    /// A square, or what the cell says that holds it.
+    fn square_or_cell(&self, level: u8, column: usize, row: usize) -> SquareErrors {
+        if level < self.depth {
+            return *self.square(level, column, row);
+        }
+        let down = level - self.depth;
+        let cell = self.cells[((row >> down) << self.depth) + (column >> down)];
+        SquareErrors {
+            edges: [cell.error; 4],
+            halves: [cell.error; 2],
+            range: cell.range,
+            ..NOTHING
         }
     }
 
@@ -148,7 +202,13 @@ impl Bounds {
     }
 
     /// For any page, square by square; slow, and the oracle of the quick way.
+    #[cfg(test)]
     pub(super) fn derive_plain(page: &Page, promise: Option<BoxError>) -> Bounds {
+        Bounds::derive_by(page, |page| Bounds::derive_each(page, promise))
+    }
+
+    /// As [`derive`](Self::derive), from the page as it is, square by square.
+    fn derive_each(page: &Page, promise: Option<BoxError>) -> Bounds {
         let mut bounds = Bounds {
             depth: page.depth(),
             squares: Vec::new(),
@@ -500,9 +560,6 @@ fn capped(told: BoxError, promise: BoxError) -> BoxError {
     BoxError {
         error: told.error.min(promise.error),
         kind: told.kind,
-        range: Range {
-            lo: told.range.lo.max(promise.range.lo),
-            hi: told.range.hi.min(promise.range.hi),
-        },
+        range: told.range.intersection(promise.range),
     }
 }

@@ -82,6 +82,14 @@ impl Range {
         }
     }
 
+    /// What both hold.
+    pub fn intersection(self, other: Range) -> Range {
+        Range {
+            lo: self.lo.max(other.lo),
+            hi: self.hi.min(other.hi),
+        }
+    }
+
     /// The smallest range that holds this one and a height.
     pub fn with(self, height: i32) -> Range {
         self.union(Range {
@@ -293,6 +301,16 @@ impl Page {
             slots: None,
             has_cuts: false,
             stream: None,
+        }
+    }
+
+    /// As it was when only these parts had arrived, of a page without holes.
+    fn with_fewer(&self, parts: u8) -> Page {
+        Page {
+            parts,
+            heights: self.heights.clone(),
+            rest: self.rest,
+            ..Page::blank(self.id, self.finest)
         }
     }
 

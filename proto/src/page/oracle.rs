@@ -316,6 +316,37 @@ proptest! {
     }
 
     #[test]
+    fn bounds_never_grow_when_parts_arrive(page in whole_page(), codec in codecs()) {
+        let record = Record::encode(&page, codec);
+        let header = RecordHeader::read(page.id(), page.is_finest(), record.bytes()).unwrap();
+        let promise = Bounds::derive(&page, None).box_error(0, 0, 0);
+        // Ranges and bounds are cut off there.
+        let cut_off = promise.range.lo == -MAX_HEIGHT || promise.range.hi == MAX_HEIGHT;
+        prop_assume!(!cut_off && promise.error < MAX_SPAN);
+        let bounds = |parts: u8| {
+            let prefix = &record.bytes()[header.part_bytes(0, parts).unwrap()];
+            let page = Page::decode(page.id(), page.is_finest(), parts, prefix).unwrap();
+            Bounds::derive(&page, Some(promise))
+        };
+        for parts in 2..=page.last_part() {
+            let (fewer, more) = (bounds(parts - 1), bounds(parts));
+            for (level, column, row) in squares(more.depth()) {
+                let square = more.square(level, column, row);
+                let own = more.box_error(level, column, row);
+                let down = level.saturating_sub(fewer.depth());
+                let before = fewer.box_error(level - down, column >> down, row >> down);
+                prop_assert!(own.error <= before.error && before.range.contains(own.range), "{parts} parts, level {level}: {own:?}, before {before:?}, {promise:?}");
+                if level < fewer.depth() {
+                    let before = fewer.square(level, column, row);
+                    for edge in 0..4 {
+                        prop_assert!(square.edges[edge] <= before.edges[edge]);
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
     fn errors_and_ranges_are_nested(page in whole_page(), codec in codecs()) {
         let record = Record::encode(&page, codec);
         let header = RecordHeader::read(page.id(), page.is_finest(), record.bytes()).unwrap();

@@ -51,8 +51,8 @@ impl Marks {
             3 => corners_of_cells(&self.cells),
             _ => corners(level, self.centres[level + 1]),
         };
-        for edge in 0..4 {
-            self.edges[level][edge] |= found[edge];
+        for (edge, found) in self.edges[level].iter_mut().zip(found) {
+            *edge |= found;
         }
     }
 
@@ -125,8 +125,8 @@ fn corners_of_cells(cells: &[u16; PAGE_CELLS]) -> [u64; 4] {
         let columns = south | north;
         let lower = |marks: u16| (marks | marks >> 1) & 0x5555;
         let rows = [columns >> 1, lower(north), columns, lower(south)];
-        for edge in 0..4 {
-            found[edge] |= together(rows[edge]) << (8 * row);
+        for (edge, marks) in found.iter_mut().zip(rows) {
+            *edge |= together(marks) << (8 * row);
         }
     }
     found

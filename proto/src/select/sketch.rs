@@ -66,9 +66,8 @@ impl Sketch {
         for (from, place) in PLACES.iter().enumerate() {
             let PageSquare { level, column, row } = place.square;
             let to = first(level) + (usize::from(column) << level) + usize::from(row);
-            let edges = squares.edges(from);
-            for edge in 0..4 {
-                sketch.edges[edge][to] = edges[edge].code();
+            for (edges, error) in sketch.edges.iter_mut().zip(squares.edges(from)) {
+                edges[to] = error.code();
             }
             sketch.halves[to] = squares.halves(from).code();
             (sketch.lo[to], sketch.hi[to]) = squares.coded_range(from);

@@ -242,7 +242,10 @@ impl<'a> Pass<'a> {
             columns: &columns,
             rows: &rows,
             heights: heights.as_ref().map(|heights| heights.limits(more)),
-            outlines,
+            outlines: outlines.then(|| {
+                let of_level = |level: usize| [sketch.rest[level]; PAGE_SQUARES];
+                Box::new(std::array::from_fn(of_level))
+            }),
         };
         level.mark::<1>(0, &mut found.marks);
         if depth > 1 {
@@ -272,21 +275,24 @@ struct Level<'a> {
     columns: &'a Axis,
     rows: &'a Axis,
     heights: Option<[u16; PAGE_SQUARES]>,
-    /// Outlines may be anywhere, for all that is known.
-    outlines: bool,
+    /// Outlines may be anywhere, for all that is known: then the bounds of all squares, by level.
+    outlines: Option<Box<[[u16; PAGE_SQUARES]; PAGE_LEVELS as usize]>>,
 }
 
 impl Level<'_> {
+    /// What is believed of the squares of a level.
+    fn codes<'a>(&'a self, known: &'a [u16; PAGE_SQUARES], level: u8) -> &'a [u16; PAGE_SQUARES] {
+        match &self.outlines {
+            Some(rest) => &rest[usize::from(level)],
+            None => known,
+        }
+    }
+
     /// Marks what fails among the squares of a level.
     fn mark<const N: usize>(&self, level: u8, marks: &mut Marks) {
         let at = first(level)..first(level) + N * N;
         let (x, y) = (self.columns.halves::<N>(), self.rows.halves::<N>());
         let heights = self.heights.as_ref().map(|heights| &heights[at.clone()]);
-        let rest = [self.sketch.rest[usize::from(level)]; PAGE_SQUARES];
-        let codes = |known: &'_ [u16; PAGE_SQUARES]| match self.outlines {
-            true => rest,
-            false => *known,
-        };
         let edges = [
             (&x.upper, &y.whole),
             (&x.whole, &y.upper),
@@ -294,11 +300,11 @@ impl Level<'_> {
             (&x.whole, &y.lower),
         ];
         for (edge, (x, y)) in edges.into_iter().enumerate() {
-            let codes = codes(&self.sketch.edges[edge]);
+            let codes = self.codes(&self.sketch.edges[edge], level);
             marks.edges[usize::from(level)][edge] |= squares(&codes[at.clone()], x, y, heights);
         }
         if level > 0 {
-            let codes = codes(&self.sketch.halves);
+            let codes = self.codes(&self.sketch.halves, level);
             let found = squares(&codes[at], &x.whole, &y.whole, heights);
             marks.centres[usize::from(level)] |= found;
         }

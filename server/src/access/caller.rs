@@ -84,6 +84,11 @@ impl Caller {
         origin.is_none_or(|origin| self.access.knows_origin(origin))
     }
 
+    /// The scheme of addresses as this caller uses them: `http` or `ws`, with an `s` over TLS.
+    pub(crate) fn scheme(&self, plain: &str) -> String {
+        format!("{plain}{}", if self.secure { "s" } else { "" })
+    }
+
     /// Whether a dataset needs a token.
     pub(super) fn needs_token(&self, dataset: &str) -> bool {
         self.access.needs_token(dataset)

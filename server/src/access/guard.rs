@@ -20,6 +20,8 @@ use tracing::Instrument;
 
 /// The name of a request in all logs it passes.
 const REQUEST_ID: &str = "x-request-id";
+/// The header in which proxies note how they were asked.
+const FORWARDED_PROTO: &str = "x-forwarded-proto";
 /// Longest name that is taken from a client.
 const MAX_ID: usize = 64;
 
@@ -133,21 +135,28 @@ impl Gate {
         let mut caller = Caller::of(self.access(), request.headers());
         if let Some(peer) = request.extensions().get::<Peer>() {
             caller.address = Some(self.proxies.client(peer.ip, request.headers()));
-            caller.secure = peer.secure;
+            let told = request.headers().get(FORWARDED_PROTO);
+            let proxied = self.proxies.trust(peer.ip) && told.is_some_and(|told| told == "https");
+            caller.secure = peer.secure || proxied;
         }
         caller
     }
 
     /// Whether a request may be answered past the middleware, as that would change nothing: all
-    /// is open to everyone, from every web page, the address is within its limits, and the
-    /// request has no name.
+    /// is open to everyone, from every web page, and the request has no name.
     pub(crate) fn lets_pass<B>(&self, request: &axum::http::Request<B>) -> bool {
-        let headers = request.headers();
-        if headers.contains_key(REQUEST_ID) || !self.access().is_open() {
+        !request.headers().contains_key(REQUEST_ID) && self.access().is_open()
+    }
+
+    /// Counts a request that is answered past the middleware. False if its address has had too
+    /// many; the middleware then says so.
+    pub(crate) fn counts<B>(&self, request: &axum::http::Request<B>) -> bool {
+        let Some(peer) = request.extensions().get::<Peer>() else {
             return false;
-        }
-        let peer = request.extensions().get::<Peer>();
-        peer.is_some_and(|peer| self.request(self.proxies.client(peer.ip, headers)).is_ok())
+        };
+        let client = self.proxies.client(peer.ip, request.headers());
+        let within = || self.rates.request(Address::of(client), self.now());
+        self.is_exempt(client) || within().is_ok()
     }
 
     /// The request's own name, if it is one that can stand in a log; else a new one.

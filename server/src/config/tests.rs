@@ -182,7 +182,7 @@ fn what_cannot_be_is_told_with_file_line_and_what_is_allowed() {
         "{typo}"
     );
     assert!(
-        typo.contains("unknown field `lissen`, expected one of `datasets`, `listen`"),
+        typo.contains("unknown field `lissen`, expected one of `datasets`, `watch`"),
         "{typo}"
     );
     let kind = refused("listen = 3\n");

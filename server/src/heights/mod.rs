@@ -32,10 +32,13 @@ mod window;
 
 mod viewshed;
 
+mod overview;
+
 #[cfg(test)]
 pub(crate) mod tests;
 
 pub use accuracy::{Accuracy, Detail};
+pub use overview::{Overview, overview};
 pub use pages::Pages;
 pub use place::{CoordinateKind, Frame, GridPlace};
 pub use profile::{MAX_VERTICES, Profile, Spread, along};

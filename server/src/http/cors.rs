@@ -11,7 +11,8 @@ pub(super) const METHODS: &str = "GET, HEAD, OPTIONS";
 const REQUEST_HEADERS: &str =
     "Authorization, Content-Type, If-Match, If-None-Match, If-Range, Range";
 /// Headers of an answer that a page may see, beyond those that it always may.
-const ANSWER_HEADERS: &str = "Accept-Ranges, Content-Range, ETag, Retry-After";
+const ANSWER_HEADERS: &str = "Accept-Ranges, Content-Range, ETag, Retry-After, Escarp-Corners, \
+     Escarp-Error-M, Escarp-Generation, Escarp-Ground-M, Escarp-Spacing-M, Escarp-Vertical";
 /// For how long the answer to the question holds, seconds.
 const PREFLIGHT_S: &str = "86400";
 

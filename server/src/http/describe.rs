@@ -1,5 +1,6 @@
 //! A dataset in a few lines of JSON.
 
+use crate::access::Caller;
 use crate::catalog::{Hosted, percent_encoded};
 use crate::native::{NativeCorners, native_corners};
 use escarp_proto::manifest::Manifest;
@@ -34,13 +35,14 @@ pub(super) struct Dataset {
 }
 
 impl Dataset {
-    pub(super) fn of(hosted: &Hosted, host: &str) -> Dataset {
+    pub(super) fn of(hosted: &Hosted, caller: &Caller, host: &str) -> Dataset {
+        let [http, ws] = ["http", "ws"].map(|plain| caller.scheme(plain));
         let (name, source) = (hosted.name(), hosted.source());
         let manifest = source.manifest();
         Dataset {
             name: name.into(),
-            session_url: format!("ws://{host}/session"),
-            manifest_url: format!("http://{host}/{}/manifest", percent_encoded(name)),
+            session_url: format!("{ws}://{host}/session"),
+            manifest_url: format!("{http}://{host}/{}/manifest", percent_encoded(name)),
             extent_m: manifest.extent_m(),
             native: native_corners(manifest),
             samples: manifest.samples,

@@ -6,21 +6,24 @@ mod gate;
 mod points;
 mod query;
 
-use super::{App, Problem};
+use super::{App, Problem, overview};
 use crate::heights::{
     self, CoordinateKind, Detail, Frame, GridPlace, HeightLimits, Pages, Spread, Work,
 };
+pub(super) use answer::png;
 use answer::{About, Batch, Point, Profile, SightAnswer};
 use axum::Router;
 use axum::body::Body;
 use axum::extract::{Extension, Path, RawQuery, State};
-use axum::http::{HeaderMap, Method, header};
+use axum::http::{HeaderMap, HeaderValue, Method, header};
 use axum::response::{IntoResponse, Json, Response};
 use axum::routing::get;
 pub(super) use gate::{Gates, Refused};
 pub(super) use query::Query;
 use std::sync::Arc;
 
+/// What can be done to the addresses that take lists of points.
+const METHODS: &str = "GET, HEAD, POST, OPTIONS";
 /// Height of an observer's eye above the ground unless told otherwise, metres.
 const EYE_M: f64 = 2.0;
 /// Samples of a profile unless told otherwise.
@@ -41,11 +44,21 @@ pub(crate) fn routes(limits: &HeightLimits) -> Router<App> {
         )
         .route("/{name}/sight", get(sight))
         .route("/{name}/viewshed.png", get(viewshed))
+        .route("/{name}/overview.png", get(overview::overview))
+        .layer(Extension(Arc::new(overview::Cache::default())))
         .layer(Extension(Arc::new(Gates::new(limits))))
 }
 
 async fn wrong_method(method: Method) -> Response {
-    super::not_allowed(&method, "GET, HEAD, POST, OPTIONS")
+    if method != Method::OPTIONS {
+        return super::not_allowed(&method, METHODS);
+    }
+    let mut response = super::cors::options();
+    let methods = HeaderValue::from_static(METHODS);
+    for name in [header::ALLOW, header::ACCESS_CONTROL_ALLOW_METHODS] {
+        response.headers_mut().insert(name, methods.clone());
+    }
+    response
 }
 
 type Gate = Extension<Arc<Gates>>;

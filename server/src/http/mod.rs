@@ -6,6 +6,9 @@ mod cors;
 mod data;
 mod describe;
 mod heights;
+mod index;
+mod openapi;
+mod overview;
 mod problem;
 mod service;
 
@@ -53,7 +56,8 @@ pub(crate) fn router(app: App) -> Router {
     let gate = app.gate.clone();
     Router::new()
         .merge(health::routes(app.counted))
-        .route("/", get(welcome))
+        .route("/", get(index::index))
+        .route("/openapi.json", get(openapi::openapi))
         .route("/datasets", get(datasets))
         .route("/session", get(socket::upgrade))
         .route("/{name}", get(dataset))
@@ -72,38 +76,13 @@ pub(crate) fn router(app: App) -> Router {
         .layer(middleware::from_fn_with_state(gate, guard))
 }
 
-async fn welcome(
-    State(app): State<App>,
-    Extension(caller): Extension<Caller>,
-    headers: HeaderMap,
-) -> String {
-    let host = host(&headers);
-    let mut text = format!(
-        "This is an Escarp terrain server.\n\n\
-         Look at a dataset:    escarp-client view http://{host}/NAME\n\
-         List the datasets:    http://{host}/datasets\n\
-         Stream in a program:  ws://{host}/session (proto/PROTOCOL.md in Escarp's source)\n\n\
-         Datasets:\n"
-    );
-    for name in app.catalog.names() {
-        if !caller.sees(&name) {
-            continue;
-        }
-        text += &format!(
-            "  http://{host}/{}\n",
-            crate::catalog::percent_encoded(&name)
-        );
-    }
-    text
-}
-
 async fn datasets(
     State(app): State<App>,
     Extension(caller): Extension<Caller>,
     headers: HeaderMap,
 ) -> Json<Datasets> {
     let host = host(&headers);
-    let describe = |hosted: &Arc<Hosted>| Dataset::of(hosted, host);
+    let describe = |hosted: &Arc<Hosted>| Dataset::of(hosted, &caller, host);
     Json(Datasets {
         datasets: {
             let all = app.catalog.all();
@@ -115,11 +94,12 @@ async fn datasets(
 
 async fn dataset(
     State(app): State<App>,
+    Extension(caller): Extension<Caller>,
     Path(name): Path<String>,
     headers: HeaderMap,
 ) -> Result<Json<Dataset>, Problem> {
     let hosted = app.hosted(&name)?;
-    Ok(Json(Dataset::of(&hosted, host(&headers))))
+    Ok(Json(Dataset::of(&hosted, &caller, host(&headers))))
 }
 
 async fn unknown(State(app): State<App>, request: Request) -> Response {

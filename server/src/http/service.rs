@@ -46,7 +46,7 @@ impl Service {
         if !app.gate.lets_pass(request) {
             return None;
         }
-        let response = data::at_once(app, request)?;
+        let response = data::at_once(app, request).filter(|_| app.gate.counts(request))?;
         let bytes = response.body().size_hint().lower();
         let status = response.status().as_u16();
         let took = began.elapsed();

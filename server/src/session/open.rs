@@ -55,6 +55,8 @@ pub(super) struct Open {
     select_due: bool,
     /// The selection had no room for all needs.
     unfinished: bool,
+    /// Bytes sent before the newest selection.
+    sent_before: u64,
     pub(super) views: ViewGate,
     pub(super) held: Held,
     allowed_bytes: u64,
@@ -90,6 +92,7 @@ impl Open {
             most_needs: limits.pushed_pages,
             select_due: false,
             unfinished: false,
+            sent_before: 0,
             views: ViewGate::new(limits.views_per_second),
             held: Held::new(limits.held_pages),
             allowed_bytes: hello.credit_bytes,
@@ -361,8 +364,8 @@ impl Open {
         let dropped = self.pushes.replace(&needs, &self.held);
         self.stats.cancelled_pieces += dropped as u64;
         self.stats.selections += 1;
-        // The next selection goes on where this one ended, unless it would find nothing else.
-        self.unfinished = !all && !self.pushes.is_done();
+        self.unfinished = !all;
+        self.sent_before = self.sent_bytes;
         if let Some(later) = self.ahead.view(&view) {
             needs.clear();
             self.published
@@ -423,8 +426,10 @@ impl Open {
                 }
             }
         }
-        if self.pushes.is_done() && std::mem::take(&mut self.unfinished) {
-            self.select_due = true;
+        // The next selection goes on where this one ended, unless it would find nothing else.
+        if self.unfinished && self.pushes.is_done() {
+            self.unfinished = false;
+            self.select_due = self.sent_bytes > self.sent_before;
         }
         (!chunks.is_empty()).then_some(ServerMessage::Pages(chunks))
     }

@@ -81,7 +81,7 @@ impl Hosting {
 
 /// 65 x 49 samples, 10 m apart east and 20 m north, of height 3 x + y (row from the south), with a
 /// hole in the north-east.
-fn ramp() -> Made {
+pub(super) fn ramp() -> Made {
     Made::of(&mut function([65, 49], |x, row| match x > 50 && row < 10 {
         true => f64::NAN,
         false => f64::from(3 * x + 48 - row),
@@ -282,7 +282,7 @@ async fn what_cannot_be_answered_is_refused_with_what_is_allowed() {
     let answer = server.ask("PUT", "/ramp/heights", "", "").await;
     assert_eq!(
         (answer.status, answer.header("allow")),
-        (405, Some("GET, HEAD, POST"))
+        (405, Some("GET, HEAD, POST, OPTIONS"))
     );
     server.stop().await;
 }

@@ -4,6 +4,7 @@ pub(crate) mod fake;
 
 mod heights;
 mod http;
+mod openapi;
 mod sessions;
 
 use crate::{Catalog, Limits, PageSource, serve};

@@ -154,10 +154,12 @@ pub fn measure(
     push: bool,
     repeats: u32,
     error_px: f32,
+    parameters: &[(String, String)],
 ) -> Result<Vec<(Cell, Vec<Cancelled>)>> {
     let dataset = Dataset::open(folder).with_context(|| format!("{}", folder.display()))?;
     let views = views(&dataset, error_px)?.map(Sight::from);
     let lab = Lab::new()?;
+    lab.set_parameters(parameters)?;
     let mut command = lab.command(End::Server, &beside("escarp-server")?);
     command
         .arg(folder)

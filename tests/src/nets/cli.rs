@@ -53,6 +53,25 @@ pub enum Streaming {
     },
 }
 
+/// How the kernel at both ends of a line is set.
+#[derive(Debug, Args)]
+struct Kernel {
+    /// A parameter of the kernel at both ends, such as net.ipv4.tcp_congestion_control=bbr; again
+    /// for more
+    #[arg(long = "kernel", value_name = "NAME=VALUE", value_parser = parameter)]
+    parameters: Vec<(String, String)>,
+}
+
+fn parameter(text: &str) -> Result<(String, String), String> {
+    let plain = |c: char| c.is_ascii_alphanumeric() || "._- ".contains(c);
+    let pair = text
+        .split_once('=')
+        .filter(|_| text.replacen('=', "", 1).chars().all(plain));
+    let pair = pair.filter(|(name, _)| name.starts_with("net."));
+    let (name, value) = pair.ok_or("allowed are net.NAME=VALUE, as sysctl takes it")?;
+    Ok((name.to_owned(), value.to_owned()))
+}
+
 /// Error against time over lines.
 #[derive(Debug, Args)]
 pub struct Network {
@@ -78,9 +97,8 @@ pub struct Network {
     /// Longest time for a picture, seconds
     #[arg(long, value_name = "S", default_value_t = 60.0)]
     limit_s: f64,
-    /// TCP's congestion control, such as cubic or bbr; default: the system's
-    #[arg(long, value_name = "NAME")]
-    congestion: Option<String>,
+    #[command(flatten)]
+    kernel: Kernel,
 }
 
 /// Runs a command; `called` is how the program was.
@@ -206,12 +224,16 @@ pub struct CancelCommand {
     /// The tolerance, pixels
     #[arg(long, value_name = "PX", default_value_t = 2.0)]
     error_px: f32,
+    #[command(flatten)]
+    kernel: Kernel,
 }
 
 impl CancelCommand {
     fn run(&self) -> Result<()> {
         let (push, px) = (self.push, self.error_px);
-        let all = cancel::measure(&self.dataset, &self.lines, push, self.repeats.max(1), px)?;
+        let parameters = &self.kernel.parameters;
+        let repeats = self.repeats.max(1);
+        let all = cancel::measure(&self.dataset, &self.lines, push, repeats, px, parameters)?;
         say(&cancel::table(&all).markdown());
         Ok(())
     }
@@ -419,7 +441,7 @@ impl Network {
             repeats: self.repeats.max(1),
             error_px: self.error_px,
             limit_s: self.limit_s,
-            congestion: self.congestion.clone(),
+            parameters: self.kernel.parameters.clone(),
         }
     }
 

@@ -2,9 +2,10 @@
 //! says by another what it saw.
 
 use super::tiles::TileClient;
-use super::watch::{Leg, Looking, Stand, decoding, look};
+use super::watch::{Leg, Looking, Stand, Until, decoding, look};
 use crate::report::leave_out::{UsedParts, parts_of};
 use anyhow::{Context, Result, bail};
+use escarp_client::app::TerrainClient;
 use escarp_client::app::headless::Driver;
 use escarp_client::net::Url;
 use escarp_client::remote::{ClientOptions, RemoteTerrain};
@@ -25,6 +26,8 @@ const LEAST_FRAME: Duration = Duration::from_millis(4);
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Kind {
+    /// The server sends what its view needs.
+    Push,
     /// It asks for what its mesh lacks.
     Pull,
     /// One HTTP request a page.
@@ -33,11 +36,12 @@ pub enum Kind {
 
 impl Kind {
     /// All there are.
-    pub const ALL: [Kind; 2] = [Kind::Pull, Kind::Tiles];
+    pub const ALL: [Kind; 3] = [Kind::Push, Kind::Pull, Kind::Tiles];
 
     /// For people.
     pub const fn in_words(self) -> &'static str {
         match self {
+            Kind::Push => "push: the server sends what the view needs",
             Kind::Pull => "pull only: the client asks for what its mesh lacks",
             Kind::Tiles => "tile by tile: one HTTP request a page, six at a time",
         }
@@ -45,12 +49,22 @@ impl Kind {
 
     /// Whether the server uses its velocity.
     pub const fn predicts(self) -> bool {
-        false
+        matches!(self, Kind::Push)
+    }
+
+    /// When it has been watched long enough. What a page a request takes beyond the picture, out
+    /// of view, takes minutes.
+    const fn until(self) -> Until {
+        match self {
+            Kind::Tiles => Until::Converged,
+            Kind::Push | Kind::Pull => Until::Settled,
+        }
     }
 
     /// Number of its colour.
     pub const fn number(self) -> usize {
         match self {
+            Kind::Push => 0,
             Kind::Pull => 1,
             Kind::Tiles => 5,
         }
@@ -72,6 +86,7 @@ impl FromStr for Kind {
 impl fmt::Display for Kind {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
+            Kind::Push => "push",
             Kind::Pull => "pull",
             Kind::Tiles => "tiles",
         })
@@ -148,6 +163,7 @@ impl Looking for Streaming {
             bound_px: bound.then_some(stats.bound_px),
             bytes: stats.bytes_received,
             decoded: decoding(&stats.times),
+            open: self.driver.client.manifest().is_some(),
             settled: self.driver.client.is_connected() && self.driver.client.is_settled(),
         })
     }
@@ -170,18 +186,21 @@ enum Either {
 }
 
 impl Client {
-    /// Connects, until it is known what the dataset is.
+    /// Begins to connect: what it shall look at is known before.
     ///
     /// # Errors
-    /// What the server, or the system, said instead.
-    pub fn open(kind: Kind, url: &str, limit: Duration) -> Result<Client> {
+    /// If the address is none, or the server has no such dataset.
+    pub fn open(kind: Kind, url: &str) -> Result<Client> {
         let url: Url = url.parse().context("the address")?;
         Ok(Client(match kind {
             Kind::Tiles => Either::Tiles(Box::new(TileClient::open(&url)?)),
-            Kind::Pull => {
-                let client = RemoteTerrain::with_options(url, ClientOptions::default());
-                let mut driver = Driver::new(client);
-                driver.connect(limit)?;
+            Kind::Push | Kind::Pull => {
+                let options = ClientOptions {
+                    push: kind == Kind::Push,
+                    ..ClientOptions::default()
+                };
+                let client = RemoteTerrain::with_options(url, options);
+                let driver = Driver::new(client);
                 let stepped = Instant::now();
                 Either::Streaming(Box::new(Streaming { driver, stepped }))
             }
@@ -223,15 +242,12 @@ pub fn work(job: &Job) -> Result<Vec<Leg>> {
     let dataset = job.dataset.as_deref().map(Dataset::open).transpose()?;
     let limit = Duration::from_secs_f64(job.limit_s);
     let mut began = Instant::now();
-    let mut client = Client::open(job.kind, &job.url, limit)?;
-    let mut opened_s = Some(began.elapsed().as_secs_f64());
+    let mut client = Client::open(job.kind, &job.url)?;
     let (mut legs, mut bytes, mut had) = (Vec::new(), 0, UsedParts::default());
     for &sight in &job.views {
-        let mut leg = Leg {
-            opened_s: opened_s.take(),
-            ..Leg::default()
-        };
-        look(&mut client, &sight.into(), began, bytes, limit, &mut leg)?;
+        let mut leg = Leg::default();
+        let end = (job.kind.until(), limit);
+        look(&mut client, &sight.into(), began, bytes, end, &mut leg)?;
         let has = client.parts();
         if let Some(dataset) = &dataset {
             leg.page_bytes = Some(has.resident_bytes(dataset, &had)?);

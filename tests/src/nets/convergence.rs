@@ -23,14 +23,14 @@ pub struct Plan {
     pub cells: Vec<Cell>,
     /// Clients.
     pub kinds: Vec<Kind>,
-    /// Times that a line with loss is measured; one without is measured once.
+    /// Times that a streaming client is measured over a line with loss; else it is once.
     pub repeats: u32,
     /// The tolerance, pixels.
     pub error_px: f32,
     /// Longest time for a leg, seconds.
     pub limit_s: f64,
-    /// How TCP's senders behave, if not as usual.
-    pub congestion: Option<String>,
+    /// Parameters of the kernel at both ends.
+    pub parameters: Vec<(String, String)>,
 }
 
 impl Plan {
@@ -51,11 +51,12 @@ impl Plan {
         cells
     }
 
-    fn repeats(&self, cell: &Cell) -> u32 {
-        if cell.loss_percent > 0.0 {
-            self.repeats
-        } else {
-            1
+    /// What is lost differs from run to run; a client that takes minutes is measured once all the
+    /// same.
+    fn repeats(&self, cell: &Cell, kind: Kind) -> u32 {
+        match cell.loss_percent > 0.0 && kind != Kind::Tiles {
+            true => self.repeats,
+            false => 1,
         }
     }
 }
@@ -80,9 +81,7 @@ pub fn measure(folder: &Path, plan: &Plan, step: &dyn Fn(&str)) -> Result<Vec<Ou
     let dataset = Dataset::open(folder).with_context(|| format!("{}", folder.display()))?;
     let views = views(&dataset, plan.error_px)?.map(Sight::from);
     let lab = Lab::new()?;
-    if let Some(name) = &plan.congestion {
-        lab.set_parameter("net.ipv4.tcp_congestion_control", name)?;
-    }
+    lab.set_parameters(&plan.parameters)?;
     let mut command = lab.command(End::Server, &beside("escarp-server")?);
     command
         .arg(folder)
@@ -99,7 +98,7 @@ pub fn measure(folder: &Path, plan: &Plan, step: &dyn Fn(&str)) -> Result<Vec<Ou
                 limit_s: plan.limit_s,
                 dataset: Some(folder.to_path_buf()),
             };
-            let runs = (0..plan.repeats(&cell)).map(|repeat| {
+            let runs = (0..plan.repeats(&cell, kind)).map(|repeat| {
                 lab.line.set(cell, u64::from(repeat));
                 client(&lab, &job).with_context(|| format!("{cell} {kind}"))
             });

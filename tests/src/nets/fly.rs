@@ -6,7 +6,7 @@ use super::lab::{End, Lab, SERVER, beside};
 use super::places::{Ground, Way};
 use super::server::Server;
 use super::shaper::Cell;
-use super::watch::{Leg, Looking, look};
+use super::watch::{Leg, Looking, Until, look};
 use crate::report::tables::Table;
 use anyhow::{Context, Result, ensure};
 use escarp_client::flight::Path as Flight;
@@ -92,7 +92,7 @@ impl Tally {
 /// If the server cannot be reached, or refuses.
 pub fn work(job: &FlyJob) -> Result<Flown> {
     let limit = Duration::from_secs_f64(job.limit_s);
-    let mut client = Client::open(job.kind, &job.url, limit)?;
+    let mut client = Client::open(job.kind, &job.url)?;
     let view = |frame| {
         let mut view = job.flight.view(job.flight.frame_time_s(frame));
         if !job.predicts {
@@ -101,7 +101,8 @@ pub fn work(job: &FlyJob) -> Result<Flown> {
         view
     };
     let mut leg = Leg::default();
-    look(&mut client, &view(0), Instant::now(), 0, limit, &mut leg)?;
+    let end = (Until::Settled, limit);
+    look(&mut client, &view(0), Instant::now(), 0, end, &mut leg)?;
     ensure!(
         leg.settled_s.is_some(),
         "the first frame took longer than {limit:?}"

@@ -22,8 +22,8 @@ const PREFIX: &str = "escarp-";
 const INTERRUPTED: i32 = 130;
 
 /// What a machine needs for a lab.
-pub const NEEDS: &str = "needs Linux, root, the programs ip (iproute2), setpriv and renice \
-                         (util-linux), and a kernel with network namespaces, veth and macvtap";
+pub const NEEDS: &str = "needs Linux, root, the programs ip (iproute2), nice, setpriv and \
+                         renice (coreutils, util-linux), and a kernel with network namespaces, veth and macvtap";
 
 /// Which end of the line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -92,7 +92,8 @@ impl Lab {
         Ok(Lab { owner, line })
     }
 
-    /// A command that runs at one end, and is killed when the thread that starts it ends.
+    /// A command that runs at one end, before other programs of a busy machine, and is killed when
+    /// the thread that starts it ends.
     pub fn command(&self, end: End, program: &Path) -> Command {
         let mut command = Command::new("ip");
         command.args(["netns", "exec", &namespace(self.owner, end)]);
@@ -102,13 +103,15 @@ impl Lab {
         command
     }
 
-    /// Sets a kernel parameter of both ends, such as `net.ipv4.tcp_congestion_control`.
+    /// Sets parameters of the kernel at both ends, such as `net.ipv4.tcp_congestion_control`.
     ///
     /// # Errors
     /// If the kernel refuses.
-    pub fn set_parameter(&self, name: &str, value: &str) -> Result<()> {
-        for end in End::BOTH {
-            set_parameter(self.owner, end, name, value)?;
+    pub fn set_parameters(&self, parameters: &[(String, String)]) -> Result<()> {
+        for (name, value) in parameters {
+            for end in End::BOTH {
+                set_parameter(self.owner, end, name, value)?;
+            }
         }
         Ok(())
     }
@@ -163,9 +166,11 @@ fn make_end(owner: u32, end: End) -> Result<()> {
 fn set_parameter(owner: u32, end: End, name: &str, value: &str) -> Result<()> {
     let path = format!("/proc/sys/{}", name.replace('.', "/"));
     let space = namespace(owner, end);
-    let script = format!("echo {value} > {path}");
-    ip(&["netns", "exec", &space, "sh", "-c", &script])
-        .with_context(|| format!("setting {name} to {value}"))
+    let script = "echo \"$1\" > \"$2\"";
+    ip(&[
+        "netns", "exec", &space, "sh", "-c", script, "sh", value, &path,
+    ])
+    .with_context(|| format!("setting {name} to {value}"))
 }
 
 /// A tap's device is named by its number, and lies in `/dev` where that is the kernel's own folder.

@@ -127,6 +127,7 @@ impl Looking for TileClient {
             bound_px: (px.is_finite() && step.triangles > 0).then_some(px),
             bytes: self.bytes,
             decoded: decoding(&step.times),
+            open: true,
             settled: self.under_way.is_empty() && self.terrain.wants().is_empty(),
         })
     }

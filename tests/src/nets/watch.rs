@@ -20,7 +20,7 @@ pub struct Moment {
 /// From connecting, or from a teleport, until all is there.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Leg {
-    /// When the server had said what the dataset is, seconds; only where the leg connects.
+    /// When the server had said what the dataset is, seconds.
     pub opened_s: Option<f64>,
     /// When the bound was within 8 px.
     pub within_8_px_s: Option<f64>,
@@ -87,6 +87,8 @@ pub struct Stand {
     pub bytes: u64,
     /// What pages took to decode and link.
     pub decoded: Duration,
+    /// Whether it is known what the dataset is.
+    pub open: bool,
     /// Whether nothing more is to come for the view.
     pub settled: bool,
 }
@@ -111,6 +113,15 @@ pub trait Looking {
     fn rest(&mut self) -> Result<()>;
 }
 
+/// When a leg ends, if its time is not up before.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Until {
+    /// When nothing more is to come.
+    Settled,
+    /// When the bound is within the tolerance, or nothing more is to come.
+    Converged,
+}
+
 /// Looks at a view until all is there or time is up. Time counts from `began`, bytes from
 /// `bytes_before`.
 ///
@@ -121,7 +132,7 @@ pub fn look(
     view: &View,
     began: Instant,
     bytes_before: u64,
-    limit: Duration,
+    (until, limit): (Until, Duration),
     leg: &mut Leg,
 ) -> Result<()> {
     loop {
@@ -132,11 +143,15 @@ pub fn look(
             bound_px: stand.bound_px,
             bytes: stand.bytes - bytes_before,
         };
+        if stand.open {
+            leg.opened_s.get_or_insert(moment.time_s);
+        }
         leg.note(moment, view.max_screen_error_px.into(), stand.decoded);
         if stand.settled {
             leg.settled_s = Some(time.as_secs_f64());
         }
-        if stand.settled || time > limit {
+        let enough = until == Until::Converged && leg.converged_s.is_some();
+        if stand.settled || enough || time > limit {
             return Ok(());
         }
         client.rest()?;

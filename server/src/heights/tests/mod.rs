@@ -1,5 +1,6 @@
 //! Heights against oracles that read the whole raster and know nothing of the tree.
 
+mod overviews;
 mod points;
 mod sights;
 mod viewsheds;
