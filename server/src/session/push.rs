@@ -142,7 +142,8 @@ fn cut(needs: &[Need], held: &Held, class_of: impl Fn(Class) -> Option<Class>) -
         while part <= need.last_part {
             let excess = excess_at(need, part);
             rank = Rank { class, excess }.after(rank);
-            let end = (part + 1..=need.last_part)
+            // The header alone shows nothing, and a client refuses it.
+            let end = (part.max(1) + 1..=need.last_part)
                 .find(|&next| excess_at(need, next) <= EIGHTH * excess)
                 .unwrap_or(need.last_part + 1);
             pieces.push(Piece {

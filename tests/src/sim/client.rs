@@ -34,6 +34,8 @@ pub struct Client<'a> {
     stats: StepStats,
     /// Stamps of the mesh that was examined last.
     examined: u64,
+    /// The generation that it showed last.
+    shown: Option<u64>,
     /// What there was of it.
     pub record: Record,
 }
@@ -93,6 +95,7 @@ impl<'a> Client<'a> {
             behind: Duration::ZERO,
             stats: StepStats::default(),
             examined: 0,
+            shown: None,
             record: Record::default(),
             setup,
         }
@@ -133,6 +136,7 @@ impl<'a> Client<'a> {
     /// Kills it. Another one comes later.
     pub fn kill(&mut self, comes: Duration) {
         self.close_account();
+        self.shown = None;
         self.remote = None;
         self.next_frame = comes;
     }
@@ -223,6 +227,9 @@ impl<'a> Client<'a> {
         }
         self.examined = stamp;
         let data = shown(self.ground, terrain)?;
+        let generation = data.dataset.manifest().generation;
+        let before = self.shown.replace(generation);
+        self.record.generations += u64::from(before.is_some_and(|before| before != generation));
         check_mesh(terrain.tree(), data)?;
         self.record.meshes += 1;
         if self.record.meshes.is_multiple_of(MEASURED) && self.stats.bound_px.is_finite() {

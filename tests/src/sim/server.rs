@@ -13,8 +13,8 @@ use std::time::Duration;
 /// The server.
 pub struct Server<'a> {
     ground: &'a Ground,
-    /// The generation that is published.
-    pub generation: usize,
+    /// The place of the generation that is published.
+    generation: usize,
     limits: Limits,
     catalog: Arc<Catalog>,
     /// The sessions.
@@ -57,6 +57,12 @@ impl<'a> Server<'a> {
                 hosted.publish(source.clone());
             }
         }
+    }
+
+    /// The number of the generation that is published.
+    pub fn published(&self) -> u64 {
+        let data = &self.ground.generations[self.generation];
+        data.dataset.manifest().generation
     }
 
     /// Goes down. If it tells its sessions, those that take it in at once know why.
