@@ -237,25 +237,25 @@ impl<'a> Pass<'a> {
             Axis::new(&around.columns, more),
             Axis::new(&around.rows, more),
         );
-        let level = Level {
+        let level = |(columns, rows), more: f32, by_level: bool| Level {
             sketch,
-            columns: &columns,
-            rows: &rows,
+            columns,
+            rows,
             heights: heights.as_ref().map(|heights| heights.limits(more)),
-            outlines: outlines.then(|| {
+            by_level: by_level.then(|| {
                 let of_level = |level: usize| [sketch.rest[level]; PAGE_SQUARES];
                 Box::new(std::array::from_fn(of_level))
             }),
         };
-        level.mark::<1>(0, &mut found.marks);
-        if depth > 1 {
-            level.mark::<2>(1, &mut found.marks);
-        }
-        if depth > 2 {
-            level.mark::<4>(2, &mut found.marks);
-        }
-        if depth > 3 {
-            level.mark::<8>(3, &mut found.marks);
+        level((&columns, &rows), more, outlines).mark_to(depth, &mut found.marks);
+        if more > 0.0 {
+            // Nor is anything beyond the tolerance of which fewer parts say that it is not.
+            let mut most = Marks::default();
+            let columns = Axis::new(&around.columns, 0.0);
+            let rows = Axis::new(&around.rows, 0.0);
+            level((&columns, &rows), 0.0, true).mark_to(depth, &mut most);
+            most.centres[0] = 1;
+            found.marks.keep_common(&most);
         }
         if found.parts > PAGE_LEVELS
             && let Some(cells) = &sketch.cells
@@ -275,14 +275,28 @@ struct Level<'a> {
     columns: &'a Axis,
     rows: &'a Axis,
     heights: Option<[u16; PAGE_SQUARES]>,
-    /// Outlines may be anywhere, for all that is known: then the bounds of all squares, by level.
-    outlines: Option<Box<[[u16; PAGE_SQUARES]; PAGE_LEVELS as usize]>>,
+    /// If all that counts is what a number of parts says of all squares alike: that, by level.
+    by_level: Option<Box<[[u16; PAGE_SQUARES]; PAGE_LEVELS as usize]>>,
 }
 
 impl Level<'_> {
+    /// Marks what fails among the squares of so many levels.
+    fn mark_to(&self, depth: u8, marks: &mut Marks) {
+        self.mark::<1>(0, marks);
+        if depth > 1 {
+            self.mark::<2>(1, marks);
+        }
+        if depth > 2 {
+            self.mark::<4>(2, marks);
+        }
+        if depth > 3 {
+            self.mark::<8>(3, marks);
+        }
+    }
+
     /// What is believed of the squares of a level.
     fn codes<'a>(&'a self, known: &'a [u16; PAGE_SQUARES], level: u8) -> &'a [u16; PAGE_SQUARES] {
-        match &self.outlines {
+        match &self.by_level {
             Some(rest) => &rest[usize::from(level)],
             None => known,
         }
