@@ -15,7 +15,7 @@ use crate::stages::Stages;
 use crate::terrain::{Terrain, TerrainStep};
 use escarp_proto::geometry::PageId;
 use escarp_proto::manifest::Manifest;
-use escarp_proto::view::View;
+use escarp_proto::view::{SCREEN_ERRORS_PX, View};
 use escarp_proto::wire::MissReason;
 use generations::Generations;
 use std::sync::{Arc, Mutex};
@@ -138,8 +138,16 @@ impl RemoteTerrain {
         let terrain = self.generations.newest();
         under_way
             || self.generations.is_changing()
+            || self.lacks_room()
             || self.awaits_kept()
             || terrain.is_none_or(|t| !t.wants().is_empty() || t.waiting() > 0)
+    }
+
+    /// Whether pages are lacking for which a wider tolerance will make room.
+    fn lacks_room(&self) -> bool {
+        let [_, widest] = SCREEN_ERRORS_PX;
+        let can_widen = self.options.promises_tolerance() && self.tolerance_px < widest;
+        self.last_step.memory_full && self.last_step.lacking > 0 && can_widen
     }
 
     /// Whether there is a session now.
@@ -416,7 +424,8 @@ impl TerrainClient for RemoteTerrain {
         if let Some(refused) = &self.refused {
             return refused.clone();
         }
-        let full = match (self.governor.limit(), self.last_step.memory_full) {
+        let lacks = self.last_step.memory_full && self.last_step.lacking > 0;
+        let full = match (self.governor.limit(), lacks) {
             (Some(limit), _) => format!(", tolerance {:.1} px, {limit}", self.tolerance_px),
             (None, true) => ", memory cap reached".to_owned(),
             (None, false) => String::new(),

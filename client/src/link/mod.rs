@@ -26,7 +26,7 @@ use config::Backoff;
 use escarp_proto::geometry::PageId;
 use escarp_proto::manifest::Manifest;
 use escarp_proto::view::{View, ViewError};
-use escarp_proto::wire::{MissReason, Scope, SessionLimits, Want};
+use escarp_proto::wire::{Scope, SessionLimits, Want};
 use event::{Events, tame};
 use flights::Flights;
 use gate::Gate;
@@ -299,13 +299,10 @@ impl Link {
         if self.swallowed_at().is_none_or(|at| now < at) {
             return;
         }
-        let (_, patience) = self.quiet();
-        for (page, again) in self.flights.ask_again(now.saturating_sub(patience)) {
+        let (quiet, patience) = self.quiet();
+        for page in self.flights.ask_again(quiet, patience, now) {
             self.stats.asked_again += 1;
-            match again {
-                true => self.claims.note_stray(page),
-                false => self.lose(page, MissReason::NotFound),
-            }
+            self.claims.note_stray(page);
         }
     }
 

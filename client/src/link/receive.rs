@@ -244,7 +244,7 @@ impl Link {
     }
 
     /// Only of pages in flight, so that a server cannot fill the memory with others.
-    pub(super) fn lose(&mut self, page: u64, reason: MissReason) {
+    fn lose(&mut self, page: u64, reason: MissReason) {
         if self.flights.miss(page) {
             self.misses.lose(page);
             self.events.push_page(Event::Miss(Miss { page, reason }));

@@ -9,7 +9,7 @@ use escarp_client::link::LinkStats;
 use escarp_client::mesh::MeshOptions;
 use escarp_client::remote::RemoteTerrain;
 use escarp_client::terrain::Terrain;
-use escarp_proto::view::View;
+use escarp_proto::view::{SCREEN_ERRORS_PX, View};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
@@ -275,7 +275,9 @@ impl<'a> Client<'a> {
         let data = shown(self.ground, terrain)?;
         check_mesh(terrain.tree(), data)?;
         check_bound(terrain.tree(), data, &view, &self.stats)?;
-        if terrain.tree().memory_bytes() < self.setup.options.memory_cap_bytes {
+        // With no room at the widest tolerance, or a mesher that has none, nobody can do better.
+        let widens = terrain.tree().options().scope().is_some();
+        if !terrain.is_full() || widens && self.stats.tolerance_px < SCREEN_ERRORS_PX[1] {
             check_converged(terrain.tree(), data, &view, &self.stats)?;
         }
         let lost = self
