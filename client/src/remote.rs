@@ -1,6 +1,7 @@
 //! A terrain behind a connection: what the programs of the client drive.
 
 mod generations;
+mod kept;
 mod options;
 
 pub use options::ClientOptions;
@@ -14,7 +15,7 @@ use crate::stages::Stages;
 use crate::terrain::{Terrain, TerrainStep};
 use escarp_proto::geometry::PageId;
 use escarp_proto::manifest::Manifest;
-use escarp_proto::view::View;
+use escarp_proto::view::{SCREEN_ERRORS_PX, View};
 use escarp_proto::wire::MissReason;
 use generations::Generations;
 use std::sync::{Arc, Mutex};
@@ -40,6 +41,7 @@ pub struct RemoteTerrain {
     connection: Box<dyn Carrier>,
     generations: Generations,
     options: ClientOptions,
+    kept: Option<kept::Kept>,
     governor: Governor,
     waker: SharedWaker,
     now: Duration,
@@ -79,7 +81,6 @@ impl RemoteTerrain {
         };
         let config = LinkConfig {
             push: options.push,
-            token: url.credentials().token().map(str::to_owned),
             ..LinkConfig::new(url.dataset().unwrap_or(""))
         };
         let connection = Connection::with_waker(url, Box::new(wake));
@@ -102,6 +103,7 @@ impl RemoteTerrain {
             link,
             connection,
             generations: Generations::default(),
+            kept: None,
             governor: options.governor(),
             options,
             waker: SharedWaker::default(),
@@ -136,7 +138,16 @@ impl RemoteTerrain {
         let terrain = self.generations.newest();
         under_way
             || self.generations.is_changing()
+            || self.lacks_room()
+            || self.awaits_kept()
             || terrain.is_none_or(|t| !t.wants().is_empty() || t.waiting() > 0)
+    }
+
+    /// Whether pages are lacking for which a wider tolerance will make room.
+    fn lacks_room(&self) -> bool {
+        let [_, widest] = SCREEN_ERRORS_PX;
+        let can_widen = self.options.promises_tolerance() && self.tolerance_px < widest;
+        self.last_step.memory_full && self.last_step.lacking > 0 && can_widen
     }
 
     /// Whether there is a session now.
@@ -198,6 +209,7 @@ impl RemoteTerrain {
                 }
             }
             Event::Chunk(chunk) => {
+                self.keep(&chunk);
                 if let Some(terrain) = self.generations.newest_mut() {
                     terrain.receive(chunk);
                 }
@@ -217,13 +229,19 @@ impl RemoteTerrain {
                 self.refused = Some(self.link.trouble().map_or(text, str::to_owned));
             }
             Event::GenChange { manifest } => self.start_anew(manifest),
-            Event::Confirmed => self.generations.confirm(|page| self.link.holds(page)),
+            Event::Confirmed => {
+                let cap = self.options.memory_cap_bytes;
+                let same = self.link.held_before();
+                let missing = self.generations.confirm(same, cap);
+                self.link.evict(&missing);
+            }
             Event::Refused { .. } | Event::Idle { .. } | Event::Disconnected { .. } => {}
         }
     }
 
     /// From here on, chunks are of another generation.
     fn start_anew(&mut self, manifest: Arc<Manifest>) {
+        self.keep_manifest(&manifest);
         let ClientOptions {
             memory_cap_bytes,
             mesh,
@@ -235,13 +253,15 @@ impl RemoteTerrain {
         self.reasons.clear();
     }
 
-    /// Updates the terrain for a view that is in order, and tells the link what follows.
-    fn update(&mut self, view: &View) {
+    /// Tells the link what is looked at. Whether that is in order.
+    fn look(&mut self, view: &View) -> bool {
         let scope = self.options.mesh.scope().unwrap_or_default();
         let (tested, _) = self.options.mesh.tested(view).clamped();
-        if self.link.set_view_in(&tested, scope, self.now).is_err() {
-            return;
-        }
+        self.link.set_view_in(&tested, scope, self.now).is_ok()
+    }
+
+    /// Updates the terrain for a view that is in order, and tells the link what follows.
+    fn update(&mut self, view: &View) {
         let clock = Instant::now();
         let now = || clock.elapsed();
         // What the mesh took last time it takes about this time, too.
@@ -273,6 +293,7 @@ impl RemoteTerrain {
         self.link.evict(&step.dropped);
         self.link.discard(&step.orphans);
         for refusal in &step.refused {
+            self.keep_no_more(refusal.page);
             match refusal.again {
                 true => self.link.evict(&[refusal.page]),
                 false => self.link.reject(refusal.page),
@@ -283,8 +304,10 @@ impl RemoteTerrain {
                 self.note_reason(refusal.page, &refusal.why.to_string());
             }
         }
-        if let Some(terrain) = self.generations.newest() {
-            self.link.set_wants(terrain.wants(), self.now);
+        let newest = self.generations.newest();
+        if let Some(wants) = newest.map(|terrain| terrain.wants().to_vec()) {
+            let left = self.ask_disk(&wants);
+            self.link.set_wants(&left, self.now);
         }
         self.last_step = step;
     }
@@ -328,19 +351,23 @@ impl TerrainClient for RemoteTerrain {
 
     fn poll(&mut self, now: Duration) {
         self.now = now;
-        self.connection.drive(&mut self.link, now);
+        self.drive();
         self.handle_events();
         // What the events led to is sent at once.
-        self.connection.drive(&mut self.link, now);
+        self.drive();
     }
 
     fn step(&mut self, view: &View, now: Duration) -> StepStats {
         self.now = now;
-        self.connection.drive(&mut self.link, now);
         let view = self.govern(view);
-        self.update(&view);
+        // Before a connection is made: the view goes with its first messages.
+        let is_in_order = self.look(&view);
+        self.drive();
+        if is_in_order {
+            self.update(&view);
+        }
         self.observe();
-        self.connection.drive(&mut self.link, now);
+        self.drive();
         let link = self.link.stats();
         let terrain = self.generations.shown();
         let excess = terrain.map_or(f64::INFINITY, |_| self.last_step.excess);
@@ -397,7 +424,8 @@ impl TerrainClient for RemoteTerrain {
         if let Some(refused) = &self.refused {
             return refused.clone();
         }
-        let full = match (self.governor.limit(), self.last_step.memory_full) {
+        let lacks = self.last_step.memory_full && self.last_step.lacking > 0;
+        let full = match (self.governor.limit(), lacks) {
             (Some(limit), _) => format!(", tolerance {:.1} px, {limit}", self.tolerance_px),
             (None, true) => ", memory cap reached".to_owned(),
             (None, false) => String::new(),
@@ -407,6 +435,9 @@ impl TerrainClient for RemoteTerrain {
             (Some(first), 0) => format!(", {} pages asked for again ({first})", self.refusals),
             (Some(first), lost) => format!(", {lost} pages lost ({first})"),
         };
+        if self.is_offline() {
+            return format!("offline, from the disk{full}{lost}");
+        }
         match self.link.state() {
             LinkState::Waiting { retry_at } => {
                 let seconds = retry_at.saturating_sub(self.now).as_secs_f32().ceil();

@@ -30,7 +30,9 @@ const NOTES_BYTES: usize = 256;
 /// Of a memory cap, what pages are let in for. The rest is for what comes in parts, for what waits,
 /// and for triangles that are yet to be made.
 pub const fn room_for_pages(cap_bytes: usize) -> usize {
-    cap_bytes - cap_bytes / 8
+    let reserve = cap_bytes / 8 + (64 << 10);
+    let most = cap_bytes / 2;
+    cap_bytes - if reserve < most { reserve } else { most }
 }
 
 /// A dataset's terrain, as far as it is here.
@@ -159,16 +161,32 @@ impl Terrain {
         self.tree.memory_bytes() + notes + waiting
     }
 
-    /// Memory of the pages that the last view needs, those that it lacks included, bytes; or a
-    /// bound of it where that is far below the cap.
+    /// Memory that the last view needs, with the pages that it lacks, bytes; or a bound of it where
+    /// that is far below the cap.
     pub fn needed_bytes(&self) -> usize {
-        let lacking = self.lacking * (MeshTree::PAGE_BYTES + NOTES_BYTES);
-        let resident = self.tree.memory_bytes();
-        let used = match resident + lacking > self.memory_cap_bytes / 2 {
-            true => self.tree.used_bytes(),
-            false => resident,
-        };
-        used + lacking
+        self.used_bytes() + self.lacking * (MeshTree::PAGE_BYTES + NOTES_BYTES)
+    }
+
+    /// Whether there is no room for another page, even if all pages go that the mesh does not use.
+    pub fn is_full(&self) -> bool {
+        self.used_bytes() + MeshTree::PAGE_BYTES > room_for_pages(self.memory_cap_bytes)
+    }
+
+    /// Memory without the pages that the mesh does not use; or all of it far below the cap.
+    fn used_bytes(&self) -> usize {
+        let all = self.memory_bytes();
+        match all > self.memory_cap_bytes / 4 {
+            true => {
+                let idle = (self.tree.memory_bytes()).saturating_sub(self.tree.used_bytes());
+                all.saturating_sub(idle)
+            }
+            false => all,
+        }
+    }
+
+    /// Keeps no more than half of its cap, or what the mesh uses.
+    pub fn shrink(&mut self) {
+        self.evict(self.memory_cap_bytes / 2, &mut Vec::new());
     }
 
     /// Whether there is room for another page, after those that are not of use have made place.
@@ -178,7 +196,8 @@ impl Terrain {
             return true;
         }
         // Somewhat more, so that not each page has to look for place.
-        self.evict(room - room / 32, dropped);
+        let more = (room / 32).max(MeshTree::PAGE_BYTES);
+        self.evict(room.saturating_sub(more), dropped);
         self.memory_bytes() + MeshTree::PAGE_BYTES <= room
     }
 
@@ -309,7 +328,7 @@ impl Terrain {
         if self.memory_bytes() > cap {
             stages.time(Stage::Link, || self.evict(cap, &mut step.dropped));
         }
-        step.memory_full |= self.memory_bytes() > cap;
+        step.memory_full |= self.is_full();
         step.lacking = stages.time(Stage::Update, || self.collect_wants(step.memory_full));
         step.triangles = stages.time(Stage::Triangulate, || self.tree.triangulate());
         step.waiting = self.arrived.len();

@@ -82,8 +82,31 @@ pub struct FamilyTable<'a> {
 }
 
 impl<'a> Head<'a> {
-    /// Reads a family's table from its first bytes, [`MAX_TABLE_BYTES`] or all of them.
+    /// Reads a family's table from its first bytes, [`MAX_TABLE_BYTES`] or all of them, and checks
+    /// it.
     pub(super) fn read(
+        entry: &IndexEntry,
+        bytes: &'a [u8],
+        path: &'a Path,
+    ) -> Result<Head<'a>, DatasetError> {
+        let head = Head::parse(entry, bytes, path)?;
+        let damaged =
+            |why: String| DatasetError::damaged(path, format!("at byte {}: {why}", entry.offset));
+        let found = crc32c(&bytes[..head.table_bytes]);
+        let stored = entry.table_crc32c;
+        if found != stored {
+            return Err(damaged(format!(
+                "table checksum {found:08x}, the index says {stored:08x}"
+            )));
+        }
+        // The table is no longer than the family: all its bytes are there.
+        let records = (entry.bytes as usize).saturating_sub(head.table_bytes);
+        head.table.check(records).map_err(damaged)?;
+        Ok(head)
+    }
+
+    /// Reads a table that was checked before.
+    pub(super) fn parse(
         entry: &IndexEntry,
         bytes: &'a [u8],
         path: &'a Path,
@@ -101,15 +124,6 @@ impl<'a> Head<'a> {
         }
         let table = Table::read(&mut reader).ok_or_else(cut)?;
         let table_bytes = reader.position();
-        let (found, stored) = (crc32c(&bytes[..table_bytes]), entry.table_crc32c);
-        if found != stored {
-            return Err(damaged(format!(
-                "table checksum {found:08x}, the index says {stored:08x}"
-            )));
-        }
-        // The table is no longer than the family: all its bytes are there.
-        let records = (entry.bytes as usize).saturating_sub(table_bytes);
-        table.check(records).map_err(damaged)?;
         Ok(Head {
             family,
             table,
@@ -117,6 +131,11 @@ impl<'a> Head<'a> {
             table_bytes,
             offset: offset + table_bytes as u64,
         })
+    }
+
+    /// Bytes of the table.
+    pub(super) fn table_bytes(&self) -> usize {
+        self.table_bytes
     }
 
     /// Where the record of a page of this family lies, behind the table.

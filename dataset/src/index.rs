@@ -97,19 +97,21 @@ impl Index {
         self.bytes[HEAD..].chunks_exact(ENTRY).filter_map(parse)
     }
 
-    pub(super) fn find(&self, family: FamilyId) -> Option<IndexEntry> {
-        let entries = &self.bytes[HEAD..];
-        let (mut low, mut high) = (0, entries.len() / ENTRY);
-        while low < high {
-            let middle = (low + high) / 2;
-            let entry = parse(&entries[middle * ENTRY..][..ENTRY])?;
-            match entry.family.cmp(&family) {
-                std::cmp::Ordering::Less => low = middle + 1,
-                std::cmp::Ordering::Equal => return Some(entry),
-                std::cmp::Ordering::Greater => high = middle,
-            }
-        }
-        None
+    /// Number of families.
+    pub(super) fn len(&self) -> usize {
+        (self.bytes.len() - HEAD) / ENTRY
+    }
+
+    /// A family's entry, and which one of all it is.
+    pub(super) fn find(&self, family: FamilyId) -> Option<(usize, IndexEntry)> {
+        let (entries, _) = self.bytes[HEAD..].as_chunks::<ENTRY>();
+        // Only ids are read until it is found: an entry begins with its id.
+        let id = |entry: &[u8; ENTRY]| entry.first_chunk().map(|id| u64::from_le_bytes(*id));
+        let wanted = Some(family.to_u64());
+        let at = entries
+            .binary_search_by(|entry| id(entry).cmp(&wanted))
+            .ok()?;
+        Some((at, parse(&entries[at])?))
     }
 }
 

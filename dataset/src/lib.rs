@@ -39,6 +39,7 @@ use escarp_proto::geometry::{GridLevels, PageId};
 use escarp_proto::manifest::Manifest;
 use index::Index;
 use map::Mapped;
+use serve::Checked;
 use std::path::{Path, PathBuf};
 
 /// A dataset of one generation. Files of that generation are immutable: while it is open, nothing
@@ -53,6 +54,7 @@ pub struct Dataset {
     index: Index,
     segments: Vec<Mapped>,
     io: Io,
+    checked: Checked,
 }
 
 impl Dataset {
@@ -112,6 +114,7 @@ impl Dataset {
             manifest,
             manifest_crc32c: crc32c(&manifest_json),
             manifest_json,
+            checked: Checked::new(index.len()),
             index,
             segments,
             io: Io::default(),
@@ -177,7 +180,7 @@ impl Dataset {
             return Ok(None);
         }
         let family = FamilyId::of(page);
-        match self.index.find(family) {
+        match self.find(family) {
             Some(entry) => self.family(&entry)?.record(page),
             None => Ok(None),
         }
@@ -190,7 +193,7 @@ impl Dataset {
 
     /// Where a family lies; `None` if none of its pages has a record.
     pub fn find(&self, family: FamilyId) -> Option<IndexEntry> {
-        self.index.find(family)
+        self.index.find(family).map(|(_, entry)| entry)
     }
 
     /// The table of a family, checked.

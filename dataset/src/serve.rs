@@ -13,10 +13,13 @@
 use super::family::{Head, MAX_TABLE_BYTES};
 use super::map::Mapped;
 use super::{Dataset, DatasetError, FamilyId, FamilyTable, IndexEntry};
+use crate::checksum::crc32c;
 use bytes::Bytes;
 use escarp_proto::geometry::PageId;
 use std::fs::File;
 use std::io;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Mutex, PoisonError};
 use thiserror::Error;
 
 /// How the bytes of a segment get into memory.
@@ -72,12 +75,12 @@ impl Dataset {
     /// [`ReadError::Dataset`] if the segment is too short or cannot be read, or if the family's
     /// table or the record does not match its checksum; [`ReadError::WouldWait`].
     pub fn read_record(&self, page: PageId, wait: Wait) -> Result<Option<Stored>, ReadError> {
-        let Some(entry) = self.entry_of(page) else {
+        let Some((at, entry)) = self.entry_of(page) else {
             return Ok(None);
         };
         let segment = self.segment(&entry);
-        let table = self.read_table(&entry, wait)?;
-        let head = Head::read(&entry, &table, segment.path())?;
+        let table = self.table(at, &entry, wait)?;
+        let head = Head::parse(&entry, &table, segment.path())?;
         let Some(place) = head.place(page)? else {
             return Ok(None);
         };
@@ -92,11 +95,11 @@ impl Dataset {
     /// # Errors
     /// As [`read_record`](Self::read_record), of the table.
     pub fn read_revision(&self, page: PageId, wait: Wait) -> Result<Option<u32>, ReadError> {
-        let Some(entry) = self.entry_of(page) else {
+        let Some((at, entry)) = self.entry_of(page) else {
             return Ok(None);
         };
-        let table = self.read_table(&entry, wait)?;
-        let head = Head::read(&entry, &table, self.segment(&entry).path())?;
+        let table = self.table(at, &entry, wait)?;
+        let head = Head::parse(&entry, &table, self.segment(&entry).path())?;
         Ok(head.place(page)?.map(|place| place.revision))
     }
 
@@ -106,30 +109,97 @@ impl Dataset {
     /// As [`read_record`](Self::read_record).
     pub fn read_family(&self, parent: PageId, wait: Wait) -> Result<Option<Stored>, ReadError> {
         let holds = self.grid().holds(parent);
-        let Some(entry) = holds.then(|| self.find(FamilyId::below(parent))).flatten() else {
+        let found = holds.then(|| self.index.find(FamilyId::below(parent)));
+        let Some((at, entry)) = found.flatten() else {
             return Ok(None);
         };
         let segment = self.segment(&entry);
         let bytes = segment.read(entry.offset, entry.bytes as usize, self.io, wait)?;
-        let table = FamilyTable::read(&entry, &bytes, segment.path())?;
-        table.records().try_for_each(|record| record.map(|_| ()))?;
+        self.checked.family(at, &bytes, || {
+            let table = FamilyTable::read(&entry, &bytes, segment.path())?;
+            table.records().try_for_each(|record| record.map(|_| ()))
+        })?;
         let checksum = entry.table_crc32c;
         Ok(Some(Stored { checksum, bytes }))
     }
 
-    fn entry_of(&self, page: PageId) -> Option<IndexEntry> {
+    fn entry_of(&self, page: PageId) -> Option<(usize, IndexEntry)> {
         let holds = self.grid().holds(page);
-        holds.then(|| self.find(FamilyId::of(page))).flatten()
+        holds.then(|| self.index.find(FamilyId::of(page))).flatten()
     }
 
     fn segment(&self, entry: &IndexEntry) -> &Mapped {
         &self.segments[entry.segment as usize]
     }
 
-    /// A family's table, and what of its records lies in the space that a table can take.
-    fn read_table(&self, entry: &IndexEntry, wait: Wait) -> Result<Bytes, ReadError> {
+    /// The table of a family, which is number `at` in the index; checked.
+    fn table(&self, at: usize, entry: &IndexEntry, wait: Wait) -> Result<Bytes, ReadError> {
+        if let Some(table) = self.checked.table(at) {
+            return Ok(table);
+        }
+        let segment = self.segment(entry);
         let bytes = (entry.bytes as usize).min(MAX_TABLE_BYTES);
-        self.segment(entry).read(entry.offset, bytes, self.io, wait)
+        let bytes = segment.read(entry.offset, bytes, self.io, wait)?;
+        let head = Head::read(entry, &bytes, segment.path())?;
+        let table = Bytes::copy_from_slice(&bytes[..head.table_bytes()]);
+        self.checked.keep_table(at, table.clone());
+        Ok(table)
+    }
+}
+
+/// A family's table, and the family's number.
+type Table = (usize, Bytes);
+
+/// Tables that are kept in memory, at most: of at most 1.6 KiB each.
+const KEPT_TABLES: usize = 4096;
+/// Set where a checksum is known.
+const KNOWN: u64 = 1 << 32;
+
+/// What was checked before, so that it need not be checked in the same way again.
+#[derive(Debug)]
+pub(super) struct Checked {
+    /// Of each family, by its number in the index: the CRC-32C of all its bytes when its table and
+    /// all its records were right. One checksum then does for some 250.
+    families: Box<[AtomicU64]>,
+    /// Tables that were right, each in the slot of its family's number.
+    tables: Box<[Mutex<Option<Table>>]>,
+}
+
+impl Checked {
+    pub(super) fn new(families: usize) -> Checked {
+        let tables = families.min(KEPT_TABLES);
+        Checked {
+            families: (0..families).map(|_| AtomicU64::new(0)).collect(),
+            tables: (0..tables).map(|_| Mutex::new(None)).collect(),
+        }
+    }
+
+    /// Checks a family, unless its bytes are those that were right before.
+    fn family(
+        &self,
+        at: usize,
+        bytes: &[u8],
+        check: impl FnOnce() -> Result<(), DatasetError>,
+    ) -> Result<(), DatasetError> {
+        let found = KNOWN | u64::from(crc32c(bytes));
+        // It is a value of its own: nothing else is read because of it.
+        if self.families[at].load(Ordering::Relaxed) != found {
+            check()?;
+            self.families[at].store(found, Ordering::Relaxed);
+        }
+        Ok(())
+    }
+
+    fn table(&self, at: usize) -> Option<Bytes> {
+        let slot = self.tables[at % self.tables.len()].lock();
+        let slot = slot.unwrap_or_else(PoisonError::into_inner);
+        let kept = slot.as_ref().filter(|(number, _)| *number == at);
+        kept.map(|(_, table)| table.clone())
+    }
+
+    fn keep_table(&self, at: usize, table: Bytes) {
+        let slot = self.tables[at % self.tables.len()].lock();
+        *slot.unwrap_or_else(PoisonError::into_inner) = Some((at, table));
     }
 }
 

@@ -279,8 +279,8 @@ impl Config {
             .filter(|(name, _)| *name != "ESCARP_LIMIT_LOOPBACK")
         {
             if let Some(limit) = name.strip_prefix(LIMIT_VARIABLE) {
-                let value = number(&text)
-                    .ok_or_else(|| ConfigError::at(&name, format!("{text:?} is no number")))?;
+                let value = number(text)
+                    .ok_or_else(|| ConfigError::at(name, format!("{text:?} is no number")))?;
                 config.set_limit(&limit.to_ascii_lowercase(), value, Source::Environment)?;
             }
         }

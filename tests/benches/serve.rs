@@ -193,10 +193,13 @@ fn address(kind: &str, page: PageId) -> String {
     format!("{kind}/{}/{}/{}", page.level(), square.x, square.y)
 }
 
+/// Addresses, and the bytes that each gives.
+type Answers = Vec<(String, Vec<u8>)>;
+
 /// nginx, with a file for each address.
 fn nginx(
     dataset: &Dataset,
-    kinds: &[(&str, Vec<(String, Vec<u8>)>)],
+    kinds: &[(&str, Answers)],
 ) -> Result<Server, Box<dyn std::error::Error>> {
     let base = format!("/{}/{}", dataset.name(), dataset.generation_id());
     let nginx = Nginx::start(&["taskset", "-c", CORES[0]], |port, folder| {

@@ -2,6 +2,7 @@
 
 use crate::host::MEMORY;
 use escarp_client::app::headless::Driver;
+use escarp_client::net::Url;
 use escarp_client::remote::RemoteTerrain;
 use escarp_proto::geometry::PageId;
 use escarp_proto::page::RecordHeader;
@@ -64,6 +65,15 @@ impl Liar {
             port,
             runtime: Some(runtime),
         }
+    }
+
+    /// The address of its dataset.
+    ///
+    /// # Panics
+    /// If there is no address for it.
+    pub fn url(&self) -> Url {
+        let url = format!("http://127.0.0.1:{}/moon", self.port).parse();
+        url.expect("an address")
     }
 
     /// A client of its dataset.

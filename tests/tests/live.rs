@@ -137,25 +137,32 @@ fn a_segment_that_is_cut_short_under_a_reader_is_damaged_and_nothing_worse() {
 }
 
 #[test]
-fn a_segment_that_is_written_over_under_a_reader_is_damaged() {
+fn a_segment_that_is_written_over_under_a_reader_is_damaged_also_where_it_was_right_before() {
     let data = TempDataset::of(300, 260, hills);
     let copy = Copy::of(&data.path());
-    for io in BOTH {
+    let path = copy.path().join("seg-1-0");
+    let whole = fs::read(&path).unwrap();
+    for (io, before) in BOTH.into_iter().flat_map(|io| [(io, false), (io, true)]) {
         let served = Dataset::open(&copy.path()).unwrap().with_io(io);
-        let path = copy.path().join("seg-1-0");
-        let whole = fs::read(&path).unwrap();
+        let all = pages(&data.dataset);
+        let mut right = Vec::new();
+        for &page in all.iter().filter(|_| before) {
+            right.push((ask(&served, page), served.pack(page)));
+        }
         let zeros = vec![0; whole.len()];
-        OpenOptions::new()
-            .write(true)
-            .open(&path)
-            .unwrap()
-            .write_all(&zeros)
-            .unwrap();
-        for page in pages(&data.dataset) {
+        let file = OpenOptions::new().write(true).open(&path);
+        file.unwrap().write_all(&zeros).unwrap();
+        for &page in &all {
             let stored = data.dataset.record(page).unwrap().is_some();
             assert!(ask(&served, page).is_err() || !stored);
+            let below = data.dataset.pack(page).unwrap().is_some();
+            assert_eq!(served.pack(page).is_err(), below);
         }
         fs::write(&path, &whole).unwrap();
+        for (&page, (record, pack)) in all.iter().zip(right) {
+            // A mapping shows what is in the file now; a copy is what was read.
+            assert!(ask(&served, page) == record && served.pack(page) == pack);
+        }
     }
 }
 

@@ -11,6 +11,7 @@ use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::path::Path;
 use std::process::{Command, Stdio};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 const TOKEN: &str = "a-token-of-some-length";
@@ -559,20 +560,25 @@ fn on_its_way_out_the_server_says_so_first_and_goes_on_for_a_while() {
         .env("NOTIFY_SOCKET", &socket)
         .env("WATCHDOG_USEC", "100000");
     let systemd = std::os::unix::net::UnixDatagram::bind(&socket).expect("a socket");
-    systemd.set_read_timeout(Some(PATIENCE)).unwrap();
-    let served = Served::of(&desk, command);
-    let mut heard = Vec::new();
-    let hear = |wanted: &str, heard: &mut Vec<String>| {
+    let heard = Arc::new(Mutex::new(Vec::new()));
+    let hearing = heard.clone();
+    // Ends with the test's process.
+    std::thread::spawn(move || {
         let mut bytes = [0; 256];
-        while !heard.iter().any(|state| state == wanted) {
-            let count = systemd
-                .recv(&mut bytes)
-                .unwrap_or_else(|e| panic!("{e}, no {wanted} after {heard:?}"));
-            heard.push(String::from_utf8_lossy(&bytes[..count]).into_owned());
+        while let Ok(count) = systemd.recv(&mut bytes) {
+            let state = String::from_utf8_lossy(&bytes[..count]).into_owned();
+            hearing.lock().unwrap().push(state);
         }
+    });
+    let hear = |wanted: &str| {
+        let has = || heard.lock().unwrap().iter().any(|state| state == wanted);
+        wait(has, || {
+            format!("no {wanted} in {:?}", heard.lock().unwrap())
+        });
     };
-    hear("READY=1", &mut heard);
-    hear("WATCHDOG=1", &mut heard);
+    let served = Served::of(&desk, command);
+    hear("READY=1");
+    hear("WATCHDOG=1");
     assert_eq!(status(&served.get("/readyz", "")), "200");
     served.server.tell("TERM");
     wait(
@@ -583,7 +589,7 @@ fn on_its_way_out_the_server_says_so_first_and_goes_on_for_a_while() {
     assert!(ready.contains("going down"), "{ready}");
     assert_eq!(status(&served.get("/datasets", "")), "200");
     session(served.url(), None, None).expect("a session until the end");
-    hear("STOPPING=1", &mut heard);
+    hear("STOPPING=1");
     wait(
         || TcpStream::connect(served.address()).is_err(),
         || "it goes on".into(),

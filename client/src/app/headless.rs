@@ -68,8 +68,24 @@ impl Driver {
     /// # Errors
     /// What the server, or the system, said instead; or that nothing was said in time.
     pub fn connect(&mut self, wait: Duration) -> Result<Arc<Manifest>> {
+        self.connect_looking(None, wait)
+    }
+
+    /// As [`connect`](Self::connect), with what will be looked at: what that needs comes with the
+    /// first answer.
+    ///
+    /// # Errors
+    /// Those of [`connect`](Self::connect).
+    pub fn connect_looking(
+        &mut self,
+        view: Option<&View>,
+        wait: Duration,
+    ) -> Result<Arc<Manifest>> {
         loop {
-            self.client.poll(self.began.elapsed());
+            match view {
+                Some(view) => drop(self.step(view)),
+                None => self.client.poll(self.began.elapsed()),
+            }
             if let Some(manifest) = self.client.manifest() {
                 return Ok(manifest);
             }

@@ -2,7 +2,7 @@
 
 use super::segment::Head;
 use escarp_proto::wire::Have;
-use std::collections::{HashMap, HashSet};
+use std::collections::HashMap;
 
 /// Pages of a dataset that are known at a time; about 100 bytes each.
 pub(super) const MAX_PAGES: usize = 1 << 20;
@@ -116,19 +116,6 @@ impl Index {
 
     pub(super) fn remove(&mut self, page: u64) {
         self.pages.remove(&page);
-    }
-
-    /// The server has these pages in the same revisions: they belong to this session's manifest.
-    pub(super) fn confirm(&mut self, haves: &[Have], stale: &HashSet<u64>) {
-        for have in haves {
-            if stale.contains(&have.page) {
-                self.pages.remove(&have.page);
-            } else if let Some(entry) = self.pages.get_mut(&have.page)
-                && entry.revision == have.revision
-            {
-                entry.tag = self.tag;
-            }
-        }
     }
 
     /// What was written last, newest first.

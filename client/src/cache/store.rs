@@ -10,7 +10,6 @@ use escarp_dataset::checksum::crc32c;
 use escarp_proto::manifest::MAX_MANIFEST_BYTES;
 use escarp_proto::page::MAX_RECORD_BYTES;
 use escarp_proto::wire::{Chunk, Have};
-use std::collections::HashSet;
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
@@ -317,11 +316,6 @@ impl Store {
     /// The pages that were written last, newest first.
     pub fn newest(&self, most: usize) -> Vec<Have> {
         self.index().newest(most)
-    }
-
-    /// Takes note of which announced pages the server has in the same revision, and which not.
-    pub fn confirm(&mut self, haves: &[Have], stale: &HashSet<u64>) {
-        self.index().confirm(haves, stale);
     }
 
     /// Pages that are known.

@@ -19,6 +19,9 @@ enum Command {
     Start(Vec<u8>),
 }
 
+/// Called on the cache's thread when there is something for [`DiskCache::poll`].
+pub type Waker = Box<dyn Fn() + Send>;
+
 /// A page that was asked for.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Loaded {
@@ -39,7 +42,7 @@ pub struct DiskCache {
 
 impl DiskCache {
     /// Begins to look through what is kept of an address, `http://HOST:PORT/NAME`.
-    pub fn open(options: CacheOptions, address: &str) -> DiskCache {
+    pub fn open(options: CacheOptions, address: &str, waker: Waker) -> DiskCache {
         let mut store = Store::new(options, address);
         let index = Arc::clone(&store.index);
         let (commands, mut queue) = sync_channel(QUEUE);
@@ -49,7 +52,8 @@ impl DiskCache {
             .name("escarp-cache".into())
             .spawn(move || {
                 store.scan();
-                run(&mut store, &mut queue, &found);
+                waker();
+                run(&mut store, &mut queue, &found, &waker);
             });
         DiskCache {
             index,
@@ -76,7 +80,7 @@ impl DiskCache {
     }
 
     /// A session, or a generation, begins with this manifest. Pages that came with another one are
-    /// not used until they are [confirmed](Self::confirm).
+    /// not used: they may have changed.
     pub fn start(&mut self, manifest: &[u8]) {
         self.index().set_tag(tag_of(manifest));
         let _ = self.commands.try_send(Command::Start(manifest.to_vec()));
@@ -85,12 +89,6 @@ impl DiskCache {
     /// What to announce: the pages that were written last, newest first.
     pub fn newest(&self, most: usize) -> Vec<Have> {
         self.index().newest(most)
-    }
-
-    /// The server has answered: of those announced, these are of no use any more.
-    pub fn confirm(&mut self, haves: &[Have], stale: &[u64]) {
-        let stale = stale.iter().copied().collect();
-        self.index().confirm(haves, &stale);
     }
 
     /// Keeps a chunk that came from the server, if there is time.
@@ -174,7 +172,12 @@ impl DiskCache {
     }
 }
 
-fn run(store: &mut Store, queue: &mut Receiver<Command>, found: &SyncSender<Loaded>) {
+fn run(
+    store: &mut Store,
+    queue: &mut Receiver<Command>,
+    found: &SyncSender<Loaded>,
+    waker: &Waker,
+) {
     while let Ok(command) = queue.recv() {
         let loaded = match command {
             Command::Put(chunk) => {
@@ -191,5 +194,6 @@ fn run(store: &mut Store, queue: &mut Receiver<Command>, found: &SyncSender<Load
         if let Err(TrySendError::Disconnected(_)) = found.try_send(loaded) {
             continue;
         }
+        waker();
     }
 }

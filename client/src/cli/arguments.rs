@@ -1,5 +1,6 @@
 //! Arguments that the commands share, and how they are read.
 
+use crate::cache::{CacheOptions, DEFAULT_CACHE_BYTES, default_folder};
 use crate::camera::overview;
 use crate::governor::{TIME_BUDGETS_MS, TRIANGLE_BUDGETS};
 use crate::mesh::{DEFAULT_MORPH, MORPH_SHARES, MeshOptions, MesherKind, Metric};
@@ -126,6 +127,16 @@ pub(super) struct ServerArgs {
     /// Ask for every page, instead of letting the server send what the view needs
     #[arg(long)]
     pull_only: bool,
+    /// Most MB of received pages to keep on disk for later runs, of all datasets together; 0 keeps
+    /// and uses none. Default: 256, but 0 for fly
+    #[arg(long, value_name = "MB", value_parser = clap::value_parser!(u32).range(..=1_000_000))]
+    cache_mb: Option<u32>,
+    /// Folder to keep them in. Default: escarp in $XDG_CACHE_HOME, or in ~/.cache
+    #[arg(long, value_name = "DIR")]
+    cache: Option<PathBuf>,
+    /// Show what is kept on disk, without a server
+    #[arg(long)]
+    offline: bool,
 }
 
 impl ServerArgs {
@@ -145,7 +156,34 @@ impl ServerArgs {
         let variable = std::env::var(TOKEN_VARIABLE).ok();
         let credentials = Credentials::read(self.token.as_deref(), variable, self.ca.clone())?;
         let url = self.url.clone().with_credentials(credentials);
-        Ok(RemoteTerrain::with_options(url, options))
+        let mut terrain = RemoteTerrain::with_options(url, options);
+        match self.cache_options()? {
+            Some(cache) => terrain.keep_on_disk(cache, &self.url),
+            None if self.offline => bail!("--offline needs a cache; give --cache-mb or --cache"),
+            None => {}
+        }
+        if self.offline {
+            terrain.stay_offline();
+        }
+        Ok(terrain)
+    }
+
+    /// The same for what is to be measured: without a cache, unless one is asked for.
+    pub(super) fn uncached(mut self) -> ServerArgs {
+        if self.cache.is_none() && !self.offline {
+            self.cache_mb.get_or_insert(0);
+        }
+        self
+    }
+
+    fn cache_options(&self) -> Result<Option<CacheOptions>> {
+        let cap_bytes = match self.cache_mb {
+            Some(0) => return Ok(None),
+            Some(mb) => u64::from(mb) << 20,
+            None => DEFAULT_CACHE_BYTES,
+        };
+        let folder = self.cache.clone().or_else(default_folder);
+        Ok(folder.map(|folder| CacheOptions { folder, cap_bytes }))
     }
 }
 

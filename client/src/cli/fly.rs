@@ -41,15 +41,22 @@ pub(super) struct FlyArgs {
 
 pub(super) fn run(args: &FlyArgs) -> Result<()> {
     let flight = args.path.as_ref().map(read_path).transpose()?;
-    let mut driver = Driver::new(args.server.open(&args.mesh, args.frame_budget_ms)?);
-    let manifest = driver.connect(Duration::from_secs(args.wait))?;
+    let mut driver = Driver::new(
+        args.server
+            .clone()
+            .uncached()
+            .open(&args.mesh, args.frame_budget_ms)?,
+    );
+    let wait = Duration::from_secs(args.wait);
+    let start = flight.as_ref().map(|flight| flight.view(0.0));
+    let manifest = driver.connect_looking(start.as_ref(), wait)?;
     let flight = flight.unwrap_or_else(|| default_path(&manifest));
     let options = FlyOptions {
         pictures: args.output.clone(),
         every: args.every,
         settle: args.settle,
         wireframe: args.wireframe,
-        wait: Duration::from_secs(args.wait),
+        wait,
     };
     let mut out = BufWriter::new(std::io::stdout().lock());
     let flown = fly(&mut driver, &manifest, &flight, &options, &mut out);

@@ -15,6 +15,8 @@ use std::time::Duration;
 /// A page is given up when chunks that do not continue it came more often than this: no race with
 /// a cancel explains that.
 const MOST_HEALED: u32 = 8;
+/// A page that does not come is asked for again after a time that doubles so often.
+const MOST_DOUBLED: u32 = 6;
 /// A priority is told again only if it grew or fell by more than this.
 const PRIORITY_STEP: f32 = 2.0;
 
@@ -44,6 +46,8 @@ struct Flight {
     untold: bool,
     /// How often a chunk came that made it be asked for again.
     healed: u32,
+    /// How often nothing came, and made it be asked for again.
+    swallowed: u32,
 }
 
 /// What becomes of a chunk.
@@ -200,23 +204,31 @@ impl Flights {
         wants
     }
 
-    /// When the first flight has been left unanswered for so long, by a server that has done
-    /// nothing since `quiet`.
+    /// When the first flight has been left unanswered for so long by a server that has done nothing
+    /// since `quiet`.
     pub(super) fn swallowed_at(&self, quiet: Duration, patience: Duration) -> Option<Duration> {
-        let told = self.flights.values().filter(|flight| !flight.untold);
-        let told = told.filter_map(|flight| flight.told_at).min()?;
-        Some(told.max(quiet) + patience)
+        let flights = self.flights.values();
+        flights
+            .filter_map(|flight| flight.swallowed_at(quiet, patience))
+            .min()
     }
 
-    /// The pages that were asked for at this time or before and have not come: they are asked for
-    /// again, or given up, `false`, if that was done too often.
-    pub(super) fn ask_again(&mut self, told_by: Duration) -> Vec<(u64, bool)> {
+    /// The pages that were left unanswered until now: they are asked for again.
+    pub(super) fn ask_again(
+        &mut self,
+        quiet: Duration,
+        patience: Duration,
+        now: Duration,
+    ) -> Vec<u64> {
         let mut again = Vec::new();
         for (&page, flight) in &mut self.flights {
-            if !flight.untold && flight.told_at.is_some_and(|at| at <= told_by) {
-                flight.healed += 1;
+            if flight
+                .swallowed_at(quiet, patience)
+                .is_some_and(|at| at <= now)
+            {
+                flight.swallowed = (flight.swallowed + 1).min(MOST_DOUBLED);
                 flight.untold = true;
-                again.push((page, flight.healed <= MOST_HEALED));
+                again.push(page);
             }
         }
         self.any_untold |= !again.is_empty();
@@ -264,6 +276,7 @@ impl Flight {
             told_at: None,
             untold: true,
             healed: 0,
+            swallowed: 0,
         }
     }
 
@@ -301,6 +314,12 @@ impl Flight {
     fn told(&mut self, now: Duration) {
         self.told_at = Some(now);
         self.untold = false;
+    }
+
+    /// When it is to be asked for again: later each time, as a line may be slower than it seems.
+    fn swallowed_at(&self, quiet: Duration, patience: Duration) -> Option<Duration> {
+        let told = self.told_at.filter(|_| !self.untold)?;
+        Some(told.max(quiet) + patience * (1 << self.swallowed))
     }
 
     fn to_tell(&self) -> Want {

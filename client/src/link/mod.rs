@@ -4,6 +4,7 @@
 //! parameter everywhere, as the duration since program start. So a test runs it under virtual
 //! time, and a browser can drive it. `proto/PROTOCOL.md` specifies what is said.
 
+mod adopt;
 mod claims;
 mod config;
 mod event;
@@ -25,7 +26,7 @@ use config::Backoff;
 use escarp_proto::geometry::PageId;
 use escarp_proto::manifest::Manifest;
 use escarp_proto::view::{View, ViewError};
-use escarp_proto::wire::{MissReason, Scope, SessionLimits, Want};
+use escarp_proto::wire::{Scope, SessionLimits, Want};
 use event::{Events, tame};
 use flights::Flights;
 use gate::Gate;
@@ -298,13 +299,10 @@ impl Link {
         if self.swallowed_at().is_none_or(|at| now < at) {
             return;
         }
-        let (_, patience) = self.quiet();
-        for (page, again) in self.flights.ask_again(now.saturating_sub(patience)) {
+        let (quiet, patience) = self.quiet();
+        for page in self.flights.ask_again(quiet, patience, now) {
             self.stats.asked_again += 1;
-            match again {
-                true => self.claims.note_stray(page),
-                false => self.lose(page, MissReason::NotFound),
-            }
+            self.claims.note_stray(page);
         }
     }
 
@@ -396,6 +394,11 @@ impl Link {
     pub fn reject(&mut self, page: PageId) {
         self.discard(&[page]);
         self.misses.lose(page.key());
+    }
+
+    /// The pages that it [holds](Self::holds) from before the manifest changed the last time.
+    pub fn held_before(&self) -> Vec<PageId> {
+        self.held.of_before()
     }
 
     /// Where the link stands.

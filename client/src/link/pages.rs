@@ -26,6 +26,8 @@ struct Parts {
     bytes: u16,
     /// Said by Have, and the server may still answer that it is stale.
     announced: bool,
+    /// It came before the manifest changed the last time.
+    before: bool,
 }
 
 const _: () = assert!(MAX_RECORD_BYTES <= u16::MAX as usize);
@@ -90,6 +92,7 @@ impl Held {
             count: 0,
             bytes: 0,
             announced: false,
+            before: false,
         });
         parts.revision = chunk.revision;
         parts.count = chunk.last_part.saturating_add(1);
@@ -110,6 +113,22 @@ impl Held {
     /// The server says that its revision is another one. Whether that is news.
     pub(super) fn is_stale(&mut self, page: u64) -> bool {
         self.is_announced(page) && self.remove(page)
+    }
+
+    /// All pages that are here are of before a change.
+    pub(super) fn age(&mut self) {
+        let pages = self.pages.values_mut();
+        pages.for_each(|parts| parts.before = true);
+    }
+
+    /// The pages of before the last change, by key.
+    pub(super) fn of_before(&self) -> Vec<PageId> {
+        let pages = self.pages.iter().filter(|(_, parts)| parts.before);
+        let mut pages: Vec<PageId> = pages
+            .filter_map(|(&key, _)| PageId::from_key(key))
+            .collect();
+        pages.sort_unstable();
+        pages
     }
 
     /// All that was said by Have has been answered.

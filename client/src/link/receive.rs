@@ -146,6 +146,7 @@ impl Link {
             self.held.cut(chunk.page, chunk.first_part);
             self.claim_anew(chunk.page);
         }
+        self.held.age();
         self.confirming = true;
         if self.barrier == Barrier::None || !skipped.is_empty() {
             self.barrier = Barrier::Due;
@@ -243,7 +244,7 @@ impl Link {
     }
 
     /// Only of pages in flight, so that a server cannot fill the memory with others.
-    pub(super) fn lose(&mut self, page: u64, reason: MissReason) {
+    fn lose(&mut self, page: u64, reason: MissReason) {
         if self.flights.miss(page) {
             self.misses.lose(page);
             self.events.push_page(Event::Miss(Miss { page, reason }));

@@ -18,9 +18,10 @@ pub use credentials::{Credentials, TOKEN_VARIABLE, TokenError};
 pub use url::{DEFAULT_PORT, Url, UrlError};
 
 use crate::link::Link;
+use escarp_proto::wire::early_value;
 use std::thread::JoinHandle;
 use std::time::Duration;
-use thread::{Attempt, News, Report, Worker};
+use thread::{Attempt, News, Plan, Report, Worker};
 use tokio::sync::{mpsc, watch};
 
 /// Called on the network's thread when there is something for [`Connection::drive`]. It must not
@@ -51,7 +52,7 @@ impl Carrier for Connection {
 pub struct Connection {
     url: Url,
     /// Which attempt to connect the thread shall be at; `None`: no socket.
-    wanted: Option<watch::Sender<Option<Attempt>>>,
+    wanted: Option<watch::Sender<Option<Plan>>>,
     attempt: Attempt,
     /// Whether `attempt` is being made, or stands.
     active: bool,
@@ -129,7 +130,6 @@ impl Connection {
 
     fn pass_on(&mut self, report: Report, link: &mut Link, now: Duration) {
         match report.news {
-            News::Connected => link.on_connected(now),
             News::Message(bytes) => {
                 // The link has given up the session on an error, and says why itself.
                 let _ = link.handle_message(&bytes, now);
@@ -144,21 +144,44 @@ impl Connection {
         }
     }
 
+    /// Starts to connect. What the link says first goes with the handshake: it need not wait for
+    /// that.
     fn connect(&mut self, link: &mut Link, now: Duration) {
         self.attempt += 1;
         self.active = true;
-        if !self.want(Some(self.attempt)) {
+        link.on_connected(now);
+        let plan = Plan {
+            attempt: self.attempt,
+            early: self.early(link, now).into(),
+        };
+        if !self.want(Some(plan)) {
             self.active = false;
             link.on_disconnected(now, "the network thread has ended");
         }
     }
 
+    /// The first messages, as many as fit into an address. One that does not goes its usual way.
+    fn early(&mut self, link: &mut Link, now: Duration) -> Vec<Vec<u8>> {
+        let mut early: Vec<Vec<u8>> = Vec::new();
+        while let Ok(place) = self.outgoing.try_reserve()
+            && let Some(bytes) = link.poll_transmit(now)
+        {
+            early.push(bytes);
+            if early_value(&early).is_none() {
+                let bytes = early.pop().unwrap_or_default();
+                place.send((self.attempt, bytes));
+                break;
+            }
+        }
+        early
+    }
+
     /// Tells the thread which attempt to be at. False if it has ended.
-    fn want(&mut self, attempt: Option<Attempt>) -> bool {
-        self.active = attempt.is_some();
+    fn want(&mut self, plan: Option<Plan>) -> bool {
+        self.active = plan.is_some();
         self.wanted
             .as_ref()
-            .is_some_and(|wanted| wanted.send(attempt).is_ok())
+            .is_some_and(|wanted| wanted.send(plan).is_ok())
     }
 
     fn transmit(&mut self, link: &mut Link, now: Duration) {

@@ -3,7 +3,11 @@
 use super::failure;
 use super::tls::{Wire, secured};
 use super::{Url, Waker};
-use escarp_proto::wire::{MAX_CLIENT_MESSAGE, MAX_SERVER_MESSAGE};
+use base64::Engine;
+use base64::engine::general_purpose::URL_SAFE_NO_PAD;
+use escarp_proto::wire::{
+    EARLY_FIELD, EARLY_HEADER, MAX_CLIENT_MESSAGE, MAX_SERVER_MESSAGE, early_value,
+};
 use futures_util::{Sink, SinkExt, Stream, StreamExt};
 use std::pin::pin;
 use std::sync::Arc;
@@ -11,12 +15,22 @@ use std::time::Duration;
 use tokio::net::TcpStream;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc, watch};
 use tokio::time::timeout;
+use tokio_tungstenite::tungstenite::client::IntoClientRequest;
+use tokio_tungstenite::tungstenite::handshake::client::Request;
+use tokio_tungstenite::tungstenite::http::{HeaderValue, header::AUTHORIZATION};
 use tokio_tungstenite::tungstenite::protocol::WebSocketConfig;
 use tokio_tungstenite::tungstenite::{Bytes, Error, Message};
 use tokio_tungstenite::{WebSocketStream, client_async_with_config};
 
 /// Counts attempts to connect, so that what belongs to an old one is known.
 pub(super) type Attempt = u64;
+
+/// An attempt to connect, and what is said first in it.
+#[derive(Debug, Clone)]
+pub(super) struct Plan {
+    pub(super) attempt: Attempt,
+    pub(super) early: Arc<[Vec<u8>]>,
+}
 
 /// How long name resolution, TCP and the WebSocket handshake may take together.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(10);
@@ -39,7 +53,6 @@ pub(super) struct Report {
 /// What happened to the socket.
 #[derive(Debug)]
 pub(super) enum News {
-    Connected,
     Message(Bytes),
     /// It could not be connected, or was lost: why.
     Ended(String),
@@ -48,7 +61,7 @@ pub(super) enum News {
 /// What the thread works with.
 pub(super) struct Worker {
     pub(super) url: Url,
-    pub(super) wanted: watch::Receiver<Option<Attempt>>,
+    pub(super) wanted: watch::Receiver<Option<Plan>>,
     pub(super) outgoing: mpsc::Receiver<(Attempt, Vec<u8>)>,
     pub(super) reports: mpsc::Sender<(Attempt, Report)>,
     pub(super) waker: Waker,
@@ -76,9 +89,9 @@ impl Worker {
         while self.wanted.changed().await.is_ok() {
             // Another value may come while the attempt is made: that ends it, and is seen here.
             loop {
-                let wanted = *self.wanted.borrow_and_update();
-                let Some(attempt) = wanted else { break };
-                match self.attempt(attempt).await {
+                let wanted = self.wanted.borrow_and_update().clone();
+                let Some(plan) = wanted else { break };
+                match self.attempt(plan).await {
                     Ok(()) => break,
                     Err(Superseded) if self.wanted.has_changed().is_err() => return,
                     Err(Superseded) => {}
@@ -88,14 +101,15 @@ impl Worker {
     }
 
     /// From connecting to the end of the session, which it reports.
-    async fn attempt(&mut self, attempt: Attempt) -> Result<(), Superseded> {
+    async fn attempt(&mut self, plan: Plan) -> Result<(), Superseded> {
+        let attempt = plan.attempt;
         let mut wanted = self.wanted.clone();
         let connected = tokio::select! {
-            connected = connect(&self.url) => connected,
+            connected = connect(&self.url, &plan.early) => connected,
             _ = wanted.changed() => return Err(Superseded),
         };
         let why = match connected {
-            Ok(socket) => self.session(attempt, socket, &mut wanted).await?,
+            Ok(socket) => self.session(&plan, socket, &mut wanted).await?,
             Err(why) => why,
         };
         let ended = self
@@ -111,10 +125,12 @@ impl Worker {
     /// Why the session ended.
     async fn session(
         &mut self,
-        attempt: Attempt,
-        socket: WebSocketStream<Box<dyn Wire>>,
-        wanted: &mut watch::Receiver<Option<Attempt>>,
+        plan: &Plan,
+        (socket, taken): Connected,
+        wanted: &mut watch::Receiver<Option<Plan>>,
     ) -> Result<String, Superseded> {
+        let attempt = plan.attempt;
+        let early = plan.early.get(taken..).unwrap_or_default();
         let (mut sink, stream) = socket.split();
         let inbox = Inbox {
             attempt,
@@ -128,7 +144,7 @@ impl Worker {
             tokio::select! {
                 why = &mut reading => why,
                 // What it said last, such as why it closes, may still be unread.
-                why = write(attempt, &mut self.outgoing, &mut sink) => {
+                why = write(attempt, early, &mut self.outgoing, &mut sink) => {
                     timeout(LAST_WORDS_TIMEOUT, reading).await.unwrap_or(why)
                 }
             }
@@ -150,7 +166,10 @@ impl Report {
     }
 }
 
-async fn connect(url: &Url) -> Result<WebSocketStream<Box<dyn Wire>>, String> {
+/// A socket, and how many of the first messages the server took with the handshake.
+type Connected = (WebSocketStream<Box<dyn Wire>>, usize);
+
+async fn connect(url: &Url, early: &[Vec<u8>]) -> Result<Connected, String> {
     let connecting = async {
         let stream = TcpStream::connect((url.host(), url.port()))
             .await
@@ -163,14 +182,35 @@ async fn connect(url: &Url) -> Result<WebSocketStream<Box<dyn Wire>>, String> {
             true => Box::new(secured(url, stream).await?),
             false => Box::new(stream),
         };
-        let socket = client_async_with_config(url.session(), stream, Some(limits())).await;
-        socket
-            .map(|(socket, _)| socket)
-            .map_err(|error| failure::no_session(url, &error))
+        let request = request(url, early).map_err(|error| failure::no_session(url, &error))?;
+        let (socket, answer) = client_async_with_config(request, stream, Some(limits()))
+            .await
+            .map_err(|error| failure::no_session(url, &error))?;
+        let taken = answer.headers().get(EARLY_HEADER);
+        let taken = taken.and_then(|taken| taken.to_str().ok()?.parse().ok());
+        Ok((socket, taken.unwrap_or(0)))
     };
     timeout(CONNECT_TIMEOUT, connecting)
         .await
         .unwrap_or_else(|_| Err(failure::no_answer(url, CONNECT_TIMEOUT)))
+}
+
+/// The handshake, with the first messages and the proof of access.
+fn request(url: &Url, early: &[Vec<u8>]) -> Result<Request, Error> {
+    let value = early_value(early).filter(|value| !value.is_empty());
+    let address = match value {
+        Some(value) => {
+            let value = URL_SAFE_NO_PAD.encode(value);
+            format!("{}?{EARLY_FIELD}={value}", url.session())
+        }
+        None => url.session(),
+    };
+    let mut request = address.into_client_request()?;
+    if let Some(token) = url.credentials().token() {
+        let proof = HeaderValue::try_from(format!("Bearer {token}"))?;
+        request.headers_mut().insert(AUTHORIZATION, proof);
+    }
+    Ok(request)
 }
 
 /// Messages are written at once, and wait in the channel rather than in a buffer.
@@ -193,9 +233,6 @@ struct Inbox<'a> {
 impl Inbox<'_> {
     /// Reads until the end, and says why it is one.
     async fn fill(self, mut stream: impl Stream<Item = Result<Message, Error>> + Unpin) -> String {
-        if self.report(Report::small(News::Connected)).await.is_none() {
-            return String::new();
-        }
         loop {
             let bytes = match stream.next().await {
                 Some(Ok(Message::Binary(bytes))) => bytes,
@@ -234,9 +271,15 @@ impl Inbox<'_> {
 /// Writes what belongs to this attempt until the socket fails, and says why.
 async fn write(
     attempt: Attempt,
+    early: &[Vec<u8>],
     outgoing: &mut mpsc::Receiver<(Attempt, Vec<u8>)>,
     sink: &mut (impl Sink<Message, Error = Error> + Unpin),
 ) -> String {
+    for bytes in early {
+        if let Err(error) = sink.send(Message::binary(bytes.clone())).await {
+            return failure::lost(&error);
+        }
+    }
     while let Some((of, bytes)) = outgoing.recv().await {
         if of != attempt {
             continue;

@@ -50,6 +50,7 @@ impl Fetcher {
         };
         let config = LinkConfig {
             token,
+            push: false,
             max_in_flight_pages: BATCH,
             ..LinkConfig::new(url.dataset().unwrap_or(""))
         };
@@ -155,7 +156,9 @@ impl Fetcher {
 
     fn on_event(&mut self, event: Event) -> Result<(), PullError> {
         match event {
-            Event::Welcome { manifest, .. } => self.on_manifest(manifest),
+            Event::Welcome { manifest, .. } | Event::GenChange { manifest } => {
+                self.on_manifest(manifest)
+            }
             Event::Refused {
                 fatal: true, text, ..
             } => Err(PullError::Server {

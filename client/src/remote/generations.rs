@@ -7,6 +7,7 @@ use crate::terrain::{Seed, Terrain, TerrainStep};
 use escarp_proto::geometry::PageId;
 use escarp_proto::manifest::Manifest;
 use escarp_proto::view::View;
+use std::collections::HashSet;
 use std::sync::Arc;
 
 /// The terrain that is shown, and the one that will be.
@@ -94,16 +95,29 @@ impl Generations {
         lost
     }
 
-    /// The pages of before that `holds` names are of the new generation, too.
-    pub(super) fn confirm(&mut self, holds: impl Fn(PageId) -> bool) {
+    /// These pages of before are of the new generation, too. Gives those of them that are not here.
+    pub(super) fn confirm(&mut self, same: Vec<PageId>, cap_bytes: usize) -> Vec<PageId> {
         let Some(next) = &mut self.next else {
-            return;
+            return Vec::new();
         };
-        if let Seeds::Awaited(source) = &next.seeds {
-            let source = source.as_deref().or(self.shown.as_ref());
-            let seeds = source.map_or_else(Vec::new, |source| source.seeds(holds));
-            next.seeds = Seeds::Waiting(seeds);
+        let Seeds::Awaited(source) = &next.seeds else {
+            return Vec::new();
+        };
+        let mut same: HashSet<PageId> = same.into_iter().collect();
+        let source = source.as_deref().or(self.shown.as_ref());
+        let seeds =
+            source.map_or_else(Vec::new, |source| source.seeds(|page| same.contains(&page)));
+        for seed in &seeds {
+            same.remove(&seed.id());
         }
+        next.seeds = Seeds::Waiting(seeds);
+        // There are two of each page now; of the old ones those that are displayed are of use.
+        if let Some(shown) = &mut self.shown {
+            shown.shrink();
+            let left = cap_bytes.saturating_sub(shown.memory_bytes());
+            next.terrain.set_memory_cap(left);
+        }
+        same.into_iter().collect()
     }
 
     /// Links what has arrived, as far as there is time. Whether none is left.

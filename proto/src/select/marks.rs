@@ -51,8 +51,8 @@ impl Marks {
             3 => corners_of_cells(&self.cells),
             _ => corners(level, self.centres[level + 1]),
         };
-        for edge in 0..4 {
-            self.edges[level][edge] |= found[edge];
+        for (edge, found) in self.edges[level].iter_mut().zip(found) {
+            *edge |= found;
         }
     }
 
@@ -77,6 +77,16 @@ impl Marks {
             Edge::West => (marks & west(level)) << (n - 1),
             Edge::North => (marks & north(level)) >> (n * (n - 1)),
             Edge::South => (marks & south(level)) << (n * (n - 1)),
+        }
+    }
+
+    /// Keeps what others mark, too, cells apart.
+    pub(super) fn keep_common(&mut self, others: &Marks) {
+        for level in 0..LEVELS {
+            self.centres[level] &= others.centres[level];
+            for edge in 0..4 {
+                self.edges[level][edge] &= others.edges[level][edge];
+            }
         }
     }
 
@@ -125,8 +135,8 @@ fn corners_of_cells(cells: &[u16; PAGE_CELLS]) -> [u64; 4] {
         let columns = south | north;
         let lower = |marks: u16| (marks | marks >> 1) & 0x5555;
         let rows = [columns >> 1, lower(north), columns, lower(south)];
-        for edge in 0..4 {
-            found[edge] |= together(rows[edge]) << (8 * row);
+        for (edge, marks) in found.iter_mut().zip(rows) {
+            *edge |= together(marks) << (8 * row);
         }
     }
     found

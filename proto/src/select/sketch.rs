@@ -1,5 +1,6 @@
 //! What the selection knows of a page.
 
+use crate::err8::Err8;
 use crate::geometry::{GridLevels, PAGE_CELLS, PAGE_LEVELS, PAGE_SLOTS, Quadrant, Slot};
 use crate::georef::Georef;
 use crate::page::{Bounds, BoxError, ChildSlot, Kind, MAX_SPAN, Page};
@@ -21,8 +22,9 @@ pub struct Sketch {
     pub(super) whole: bool,
     pub(super) has_holes: bool,
     pub(super) steps: Steps,
-    /// While only parts `1..=k` have arrived: the bound of each square of level `k`, by `k`. Where
-    /// outlines cross the page, of each square of any level that has come.
+    /// While only parts `1..=k` have arrived: the bound of each square of level `k`, by `k`; it
+    /// holds when more have arrived as well. Where outlines cross the page, it is all that is known
+    /// until all have.
     pub(super) rest: [u16; PAGE_LEVELS as usize + 1],
     /// Bounds of edge triangles, by [`Edge`](crate::geometry::Edge), then by square.
     pub(super) edges: [[u16; PAGE_SQUARES]; 4],
@@ -66,9 +68,8 @@ impl Sketch {
         for (from, place) in PLACES.iter().enumerate() {
             let PageSquare { level, column, row } = place.square;
             let to = first(level) + (usize::from(column) << level) + usize::from(row);
-            let edges = squares.edges(from);
-            for edge in 0..4 {
-                sketch.edges[edge][to] = edges[edge].code();
+            for (edges, error) in sketch.edges.iter_mut().zip(squares.edges(from)) {
+                edges[to] = error.code();
             }
             sketch.halves[to] = squares.halves(from).code();
             (sketch.lo[to], sketch.hi[to]) = squares.coded_range(from);
@@ -126,10 +127,14 @@ fn rest(
 ) -> [u16; PAGE_LEVELS as usize + 1] {
     std::array::from_fn(|i| {
         let part = i as u8;
-        if part > page.depth() || part == 0 && !page.has_holes() {
+        if part > page.depth() {
             return 0;
         }
-        let told = page.slot_until(part);
+        let told = match part == 0 && !page.has_holes() {
+            // Before any has, there is only what the page above says.
+            true => ChildSlot::Full(Err8(u8::MAX)),
+            false => page.slot_until(part),
+        };
         let (error, kind) = match told {
             ChildSlot::Full(error) | ChildSlot::Cut(error) => (error.bound(), Kind::Full),
             ChildSlot::Mixed(range) => (range.span(), Kind::Mixed),

@@ -237,22 +237,25 @@ impl<'a> Pass<'a> {
             Axis::new(&around.columns, more),
             Axis::new(&around.rows, more),
         );
-        let level = Level {
+        let level = |(columns, rows), more: f32, by_level: bool| Level {
             sketch,
-            columns: &columns,
-            rows: &rows,
+            columns,
+            rows,
             heights: heights.as_ref().map(|heights| heights.limits(more)),
-            outlines,
+            by_level: by_level.then(|| {
+                let of_level = |level: usize| [sketch.rest[level]; PAGE_SQUARES];
+                Box::new(std::array::from_fn(of_level))
+            }),
         };
-        level.mark::<1>(0, &mut found.marks);
-        if depth > 1 {
-            level.mark::<2>(1, &mut found.marks);
-        }
-        if depth > 2 {
-            level.mark::<4>(2, &mut found.marks);
-        }
-        if depth > 3 {
-            level.mark::<8>(3, &mut found.marks);
+        level((&columns, &rows), more, outlines).mark_to(depth, &mut found.marks);
+        if more > 0.0 {
+            // Nor is anything beyond the tolerance of which fewer parts say that it is not.
+            let mut most = Marks::default();
+            let columns = Axis::new(&around.columns, 0.0);
+            let rows = Axis::new(&around.rows, 0.0);
+            level((&columns, &rows), 0.0, true).mark_to(depth, &mut most);
+            most.centres[0] = 1;
+            found.marks.keep_common(&most);
         }
         if found.parts > PAGE_LEVELS
             && let Some(cells) = &sketch.cells
@@ -272,21 +275,38 @@ struct Level<'a> {
     columns: &'a Axis,
     rows: &'a Axis,
     heights: Option<[u16; PAGE_SQUARES]>,
-    /// Outlines may be anywhere, for all that is known.
-    outlines: bool,
+    /// If all that counts is what a number of parts says of all squares alike: that, by level.
+    by_level: Option<Box<[[u16; PAGE_SQUARES]; PAGE_LEVELS as usize]>>,
 }
 
 impl Level<'_> {
+    /// Marks what fails among the squares of so many levels.
+    fn mark_to(&self, depth: u8, marks: &mut Marks) {
+        self.mark::<1>(0, marks);
+        if depth > 1 {
+            self.mark::<2>(1, marks);
+        }
+        if depth > 2 {
+            self.mark::<4>(2, marks);
+        }
+        if depth > 3 {
+            self.mark::<8>(3, marks);
+        }
+    }
+
+    /// What is believed of the squares of a level.
+    fn codes<'a>(&'a self, known: &'a [u16; PAGE_SQUARES], level: u8) -> &'a [u16; PAGE_SQUARES] {
+        match &self.by_level {
+            Some(rest) => &rest[usize::from(level)],
+            None => known,
+        }
+    }
+
     /// Marks what fails among the squares of a level.
     fn mark<const N: usize>(&self, level: u8, marks: &mut Marks) {
         let at = first(level)..first(level) + N * N;
         let (x, y) = (self.columns.halves::<N>(), self.rows.halves::<N>());
         let heights = self.heights.as_ref().map(|heights| &heights[at.clone()]);
-        let rest = [self.sketch.rest[usize::from(level)]; PAGE_SQUARES];
-        let codes = |known: &'_ [u16; PAGE_SQUARES]| match self.outlines {
-            true => rest,
-            false => *known,
-        };
         let edges = [
             (&x.upper, &y.whole),
             (&x.whole, &y.upper),
@@ -294,11 +314,11 @@ impl Level<'_> {
             (&x.whole, &y.lower),
         ];
         for (edge, (x, y)) in edges.into_iter().enumerate() {
-            let codes = codes(&self.sketch.edges[edge]);
+            let codes = self.codes(&self.sketch.edges[edge], level);
             marks.edges[usize::from(level)][edge] |= squares(&codes[at.clone()], x, y, heights);
         }
         if level > 0 {
-            let codes = codes(&self.sketch.halves);
+            let codes = self.codes(&self.sketch.halves, level);
             let found = squares(&codes[at], &x.whole, &y.whole, heights);
             marks.centres[usize::from(level)] |= found;
         }

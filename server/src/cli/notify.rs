@@ -10,8 +10,12 @@ pub(super) fn tell(state: &str) {
     let Some(address) = std::env::var_os("NOTIFY_SOCKET") else {
         return;
     };
-    let told = address_of(&address)
-        .and_then(|address| UnixDatagram::unbound()?.send_to_addr(state.as_bytes(), &address));
+    let told = address_of(&address).and_then(|address| {
+        let socket = UnixDatagram::unbound()?;
+        // Whoever does not listen must not hold the server up.
+        socket.set_nonblocking(true)?;
+        socket.send_to_addr(state.as_bytes(), &address)
+    });
     if let Err(error) = told {
         tracing::warn!(%error, state, "systemd was not told");
     }

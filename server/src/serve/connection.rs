@@ -24,6 +24,9 @@ const HANDSHAKE: u8 = 22;
 /// To those who speak plain HTTP to an address of TLS.
 const PLAIN: &[u8] = b"HTTP/1.1 400 Bad Request\r\ncontent-type: text/plain\r\n\
     connection: close\r\ncontent-length: 47\r\n\r\nThis address takes TLS only: use https or wss.\r\n";
+/// Bytes that the kernel takes before it has sent those of before: about a frame, so that a newer
+/// view overtakes all but one.
+const UNSENT_BYTES: u32 = 16 << 10;
 /// Bytes of a request that is not answered are read, so that what it is told arrives.
 const IGNORED_BYTES: u64 = 64 << 10;
 
@@ -50,8 +53,7 @@ impl Connection {
 
     /// Answers its requests.
     pub(super) async fn run(mut self) {
-        // Frames are small, and each is wanted at once. On failure it is only slower.
-        let _ = self.stream.set_nodelay(true);
+        tune(&self.stream);
         let peer = Peer {
             ip: self.peer,
             secure: self.tls.is_some(),
@@ -80,6 +82,14 @@ impl Connection {
             let _ = timeout(limits.close_timeout, refuse(stream)).await;
         }
     }
+}
+
+/// Frames are small, and each is wanted at once; and what the kernel has taken can no longer be
+/// cancelled, so it takes little beyond what the line holds. On failure it is only slower.
+fn tune(stream: &TcpStream) {
+    let _ = stream.set_nodelay(true);
+    #[cfg(any(target_os = "linux", target_os = "macos"))]
+    let _ = socket2::SockRef::from(stream).set_tcp_notsent_lowat(UNSENT_BYTES);
 }
 
 /// A TLS stream; or why there is none, with the connection if the client speaks plain HTTP.

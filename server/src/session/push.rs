@@ -77,7 +77,7 @@ impl Pushes {
     /// Replaces all that waits by what these needs lack. How many pieces were dropped for it.
     pub(super) fn replace(&mut self, needs: &[Need], held: &Held) -> usize {
         let dropped = self.now.len() + self.ahead.len();
-        self.now = cut(needs, held, |class| Some(class));
+        self.now = cut(needs, held, Some);
         self.ahead = Vec::new();
         dropped
     }
@@ -142,8 +142,12 @@ fn cut(needs: &[Need], held: &Held, class_of: impl Fn(Class) -> Option<Class>) -
         while part <= need.last_part {
             let excess = excess_at(need, part);
             rank = Rank { class, excess }.after(rank);
-            let end = (part + 1..=need.last_part)
-                .find(|&next| excess_at(need, next) <= EIGHTH * excess)
+            // The header alone shows nothing, and a client refuses it.
+            let end = (part.max(1) + 1..=need.last_part)
+                .find(|&next| {
+                    let rest = excess_at(need, next);
+                    rest < excess && rest <= EIGHTH * excess
+                })
                 .unwrap_or(need.last_part + 1);
             pieces.push(Piece {
                 page: need.page,
@@ -317,6 +321,29 @@ mod tests {
         let all = vec![Class::InView, Class::Predicted, Class::Ring];
         assert_eq!(classes(true), (all, 0));
         assert_eq!(classes(false), (vec![Class::InView, Class::Ring], 1));
+    }
+
+    #[test]
+    fn no_piece_is_a_header_alone_or_cut_where_nothing_is_mended() {
+        for excess in [f32::INFINITY, 0.0, 1e-30, 3.0] {
+            let all = Need {
+                excess: [excess; PART_COUNTS],
+                ..need(PageId::ROOT, Class::InView, 1.0, SLOT_PART)
+            };
+            let mut pushes = Pushes::default();
+            pushes.replace(&[all], &Held::new(9));
+            let pieces = drained(&mut pushes, false);
+            assert_eq!(pieces.len(), 1, "{excess}: {pieces:?}");
+            assert_eq!((pieces[0].first_part, pieces[0].last_part), (0, SLOT_PART));
+        }
+        let falling = need(PageId::ROOT, Class::InView, f32::INFINITY, SLOT_PART);
+        let mut pushes = Pushes::default();
+        pushes.replace(&[falling], &Held::new(9));
+        assert!(
+            drained(&mut pushes, false)
+                .iter()
+                .all(|piece| piece.last_part > 0)
+        );
     }
 
     #[test]

@@ -7,10 +7,11 @@ use super::variant::Variant;
 use super::write;
 use super::{flight, tables};
 use crate::nets::{self, cli::Streaming};
+use crate::sim::cli::{Simulate, simulate};
 use crate::stability;
 use anyhow::{Context, Result, ensure};
-use clap::Parser;
 use clap::error::ErrorKind;
+use clap::{Parser, Subcommand};
 use escarp_tiles::dataset::Dataset;
 use indicatif::{ProgressBar, ProgressStyle};
 use std::cell::Cell;
@@ -29,9 +30,8 @@ use std::sync::Arc;
     subcommand_negates_reqs = true
 )]
 pub struct Cli {
-    /// Server and clients as they run, over lines and under load
     #[command(subcommand)]
-    streaming: Option<Streaming>,
+    other: Option<Other>,
     /// Datasets, as `escarp-tiles build` makes them
     #[arg(required_unless_present = "stability", value_name = "DATASET")]
     datasets: Vec<PathBuf>,
@@ -59,6 +59,16 @@ pub struct Cli {
     stability: bool,
 }
 
+/// Server and clients as they run, over lines, under load, and in virtual time.
+#[derive(Debug, Subcommand)]
+enum Other {
+    #[command(flatten)]
+    Streaming(Streaming),
+    /// Simulate servers and clients under virtual time, from seeds; a seed that fails is shortened
+    /// and printed
+    Simulate(Simulate),
+}
+
 const EXAMPLES: &str = "\
 Writes report.html, which needs no other file, report.json with every number, tables as CSV, and
 each plot as SVG and PNG. Prints a short table.
@@ -67,6 +77,7 @@ Examples:
   escarp-report everest.escarp -o report
   escarp-report everest.escarp moon.escarp --quick -o reports
   escarp-report --stability -o stability
+  escarp-report simulate --seeds 10000
   escarp-report network everest.escarp -o network      (as root)
   escarp-report moon.escarp --path docs/moon-flight.json --meshers quadtree,roam --error-px 1,2,4 -o report
 
@@ -124,8 +135,10 @@ fn folders(output: &Path, datasets: &[Arc<Dataset>]) -> Vec<PathBuf> {
 /// # Errors
 /// What stopped it.
 pub fn run(cli: &Cli) -> Result<()> {
-    if let Some(streaming) = &cli.streaming {
-        return nets::cli::run(streaming, &command());
+    match &cli.other {
+        Some(Other::Streaming(streaming)) => return nets::cli::run(streaming, &command()),
+        Some(Other::Simulate(which)) => return simulate(which),
+        None => {}
     }
     let output = cli.output.as_deref().context("-o is missing")?;
     if cli.stability {

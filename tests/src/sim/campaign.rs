@@ -129,6 +129,25 @@ impl Campaign {
     }
 }
 
+impl fmt::Display for Tally {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let clients = &self.clients;
+        write!(
+            f,
+            "{} runs hold: {} frames, {} meshes examined, {} of them measured, {} sessions, {} \
+             new generations shown, {} page bytes, {} chunks of no use",
+            self.runs,
+            clients.frames,
+            clients.meshes,
+            clients.measured,
+            clients.sessions,
+            clients.generations,
+            clients.page_bytes,
+            clients.dropped
+        )
+    }
+}
+
 impl fmt::Display for Failure {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let (script, acts) = (&self.script, &self.acts);

@@ -9,7 +9,7 @@ use escarp_client::link::LinkStats;
 use escarp_client::mesh::MeshOptions;
 use escarp_client::remote::RemoteTerrain;
 use escarp_client::terrain::Terrain;
-use escarp_proto::view::View;
+use escarp_proto::view::{SCREEN_ERRORS_PX, View};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
@@ -34,6 +34,8 @@ pub struct Client<'a> {
     stats: StepStats,
     /// Stamps of the mesh that was examined last.
     examined: u64,
+    /// The generation that it showed last.
+    shown: Option<u64>,
     /// What there was of it.
     pub record: Record,
 }
@@ -93,6 +95,7 @@ impl<'a> Client<'a> {
             behind: Duration::ZERO,
             stats: StepStats::default(),
             examined: 0,
+            shown: None,
             record: Record::default(),
             setup,
         }
@@ -133,6 +136,7 @@ impl<'a> Client<'a> {
     /// Kills it. Another one comes later.
     pub fn kill(&mut self, comes: Duration) {
         self.close_account();
+        self.shown = None;
         self.remote = None;
         self.next_frame = comes;
     }
@@ -223,6 +227,9 @@ impl<'a> Client<'a> {
         }
         self.examined = stamp;
         let data = shown(self.ground, terrain)?;
+        let generation = data.dataset.manifest().generation;
+        let before = self.shown.replace(generation);
+        self.record.generations += u64::from(before.is_some_and(|before| before != generation));
         check_mesh(terrain.tree(), data)?;
         self.record.meshes += 1;
         if self.record.meshes.is_multiple_of(MEASURED) && self.stats.bound_px.is_finite() {
@@ -250,12 +257,6 @@ impl<'a> Client<'a> {
             .is_some_and(|remote| remote.is_connected() && remote.is_settled())
     }
 
-    /// The generation that it shows.
-    pub fn generation(&self) -> Option<u64> {
-        let terrain = self.remote.as_ref()?.terrain()?;
-        Some(terrain.manifest().generation)
-    }
-
     /// Where it stands, for people.
     pub fn status(&self) -> String {
         let status = self.remote.as_ref().map(TerrainClient::status);
@@ -274,7 +275,9 @@ impl<'a> Client<'a> {
         let data = shown(self.ground, terrain)?;
         check_mesh(terrain.tree(), data)?;
         check_bound(terrain.tree(), data, &view, &self.stats)?;
-        if terrain.tree().memory_bytes() < self.setup.options.memory_cap_bytes {
+        // With no room at the widest tolerance, or a mesher that has none, nobody can do better.
+        let widens = terrain.tree().options().scope().is_some();
+        if !terrain.is_full() || widens && self.stats.tolerance_px < SCREEN_ERRORS_PX[1] {
             check_converged(terrain.tree(), data, &view, &self.stats)?;
         }
         let lost = self

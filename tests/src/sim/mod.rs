@@ -28,6 +28,8 @@ mod world;
 
 mod campaign;
 
+pub mod cli;
+
 pub use campaign::{Campaign, Failure, Tally};
 pub use ground::Ground;
 pub use script::{Act, Script};

@@ -165,6 +165,7 @@ fn limits(random: &mut Random) -> Limits {
         views_per_second: random.pick(&[20, 20, 5, 60]),
         queued_replies: random.pick(&[1024, 8]),
         held_pages: random.pick(&[4096, 4096, 4096, 30]),
+        pushed_pages: random.pick(&[2048, 2048, 2048, 10, 0]),
         ..Limits::default()
     }
 }
@@ -174,6 +175,7 @@ fn setup(random: &mut Random, number: u64) -> Setup {
         0 => Duration::ZERO,
         _ => random.time_ms(1.0, 5000.0),
     };
+    let push = random.chance(0.75);
     Setup {
         comes,
         line: line(random),
@@ -184,12 +186,14 @@ fn setup(random: &mut Random, number: u64) -> Setup {
                 false => AMPLE_BYTES,
             },
             mesh: mesh(random),
+            push,
             ..ClientOptions::default()
         },
         config: LinkConfig {
             credit_window_bytes: random.magnitude(1e3, 1e6) as u64,
             max_in_flight_pages: random.pick(&[1, 8, 1024, 1024]),
             jitter_seed: random.number(),
+            push,
             ..LinkConfig::new("ground")
         },
         gaze: gaze(random),

@@ -13,8 +13,8 @@ use std::time::Duration;
 /// The server.
 pub struct Server<'a> {
     ground: &'a Ground,
-    /// The generation that is published.
-    pub generation: usize,
+    /// The place of the generation that is published.
+    generation: usize,
     limits: Limits,
     catalog: Arc<Catalog>,
     /// The sessions.
@@ -52,8 +52,17 @@ impl<'a> Server<'a> {
     pub fn publish(&mut self) {
         if self.generation + 1 < GENERATIONS {
             self.generation += 1;
-            self.catalog = hosting(self.ground.source(self.generation));
+            let source = self.ground.source(self.generation);
+            for hosted in self.catalog.all() {
+                hosted.publish(source.clone());
+            }
         }
+    }
+
+    /// The number of the generation that is published.
+    pub fn published(&self) -> u64 {
+        let data = &self.ground.generations[self.generation];
+        data.dataset.manifest().generation
     }
 
     /// Goes down. If it tells its sessions, those that take it in at once know why.
@@ -73,6 +82,8 @@ impl<'a> Server<'a> {
             net.connections[id].down.end(net.now);
         }
         net.listening = false;
+        // The next process opens the dataset anew.
+        self.catalog = hosting(self.ground.source(self.generation));
         Ok(())
     }
 
@@ -117,7 +128,8 @@ impl<'a> Server<'a> {
 
 fn hosting(source: Arc<dyn PageSource>) -> Arc<Catalog> {
     let catalog = Catalog::default();
-    catalog.add("ground", source).expect("the name is one");
+    let added = catalog.add("ground", source);
+    assert!(added.is_ok(), "the name is one");
     Arc::new(catalog)
 }
 
@@ -139,6 +151,9 @@ impl<'a> Served<'a> {
         let now = net.now;
         let connection = &mut net.connections[id];
         self.session.handle_timeout(now - self.opened);
+        if let Some(hosted) = self.session.hosted() {
+            self.session.handle_publication(hosted.published());
+        }
         loop {
             if self.outgoing.is_some() && connection.down.has_room() {
                 if let Some((frame, _)) = self.outgoing.take() {
@@ -174,7 +189,7 @@ impl<'a> Served<'a> {
                 None => break,
             }
         }
-        Ok(!(self.outgoing.as_ref()).is_some_and(|(_, since)| now >= *since + limits.send_timeout))
+        Ok((self.outgoing.as_ref()).is_none_or(|(_, since)| now < *since + limits.send_timeout))
     }
 
     fn hear(&mut self, frame: Frame, now: Duration) -> Result<(), String> {

@@ -9,6 +9,9 @@ use escarp_proto::wire::{Chunk, ClientMessage, Have, PeerError, ServerMessage};
 use escarp_server::Limits;
 use std::collections::BTreeSet;
 
+/// No dataset of the simulation has more pages.
+const ALL_PAGES: usize = 1000;
+
 /// What was said in a session.
 pub struct Witness<'a> {
     ground: &'a Ground,
@@ -27,7 +30,7 @@ impl<'a> Witness<'a> {
     pub fn new(ground: &'a Ground, limits: &Limits) -> Witness<'a> {
         Witness {
             ground,
-            remembers_all: limits.held_pages >= Limits::default().held_pages,
+            remembers_all: limits.held_pages >= ALL_PAGES,
             told: None,
             idle: None,
             held: BTreeSet::new(),

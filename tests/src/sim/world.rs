@@ -274,6 +274,12 @@ impl<'a> World<'a> {
         for (number, client) in self.clients.iter_mut().enumerate() {
             let rest = client.check_rest(now);
             rest.map_err(|why| format!("client {number} at rest: {why}"))?;
+            let (shows, published) = (client.generation(), self.server.published());
+            if shows != Some(published) {
+                return Err(format!(
+                    "client {number} shows generation {shows:?}, published is {published}"
+                ));
+            }
         }
         Ok(())
     }
