@@ -39,7 +39,8 @@ pub struct Limits {
     pub queued_replies: usize,
     /// Pages of a client's that a session remembers. More are not pushed.
     pub held_pages: usize,
-    /// Pages of one selection; the next one goes on where it ended. 0: nothing is sent unasked.
+    /// Pieces of pages that a selection puts into the queue; the next one goes on where it ended.
+    /// 0: nothing is sent unasked.
     pub pushed_pages: usize,
     /// How far ahead a moving eye's needs are looked for, at most 2 s; 0 is not at all.
     pub look_ahead: Duration,

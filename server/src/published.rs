@@ -8,14 +8,23 @@ use escarp_proto::view::View;
 use escarp_proto::wire::Scope;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Scratch that waits for the next selections: as many as are likely to go on at a time.
+/// Room for selections that waits for the next ones: for as many as are likely to go on at a time.
 const MOST_IDLE: usize = 8;
+/// Needs of one view. Views of large datasets at 1 px have some ten thousand.
+const MOST_NEEDS: usize = 1 << 15;
 
 /// One generation of a dataset.
 pub struct Published {
     source: Arc<dyn PageSource>,
     sketches: Sketches,
-    idle: Mutex<Vec<Selection>>,
+    idle: Mutex<Vec<Room>>,
+}
+
+/// What a selection takes, kept for the next.
+#[derive(Default)]
+struct Room {
+    selection: Selection,
+    needs: Vec<Need>,
 }
 
 impl Published {
@@ -32,25 +41,23 @@ impl Published {
     pub fn source(&self) -> &Arc<dyn PageSource> {
         &self.source
     }
-}
 
-impl Published {
-    /// What a view needs, coarse pages first; whether that is all. Reads records, so it may block
-    /// on the disk.
-    pub fn select(&self, view: &View, scope: Scope, limit: usize, needs: &mut Vec<Need>) -> bool {
-        let idle = self
-            .idle
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .pop();
-        let mut selection = idle.unwrap_or_default();
+    /// Gives what a view needs, coarse pages first, to `take`. Reads records, so it may block on
+    /// the disk.
+    pub fn select<T>(&self, view: &View, scope: Scope, take: impl FnOnce(&[Need]) -> T) -> T {
+        let idle = || self.idle.lock().unwrap_or_else(PoisonError::into_inner);
+        let room = idle().pop();
+        let mut room = room.unwrap_or_default();
         let manifest = self.source.manifest();
         let space = (manifest.grid_levels, &manifest.georef);
-        let outcome = selection.select(space, view, scope, &mut &self.sketches, limit, needs);
-        let mut idle = self.idle.lock().unwrap_or_else(PoisonError::into_inner);
+        let Room { selection, needs } = &mut room;
+        let known = &mut &self.sketches;
+        selection.select(space, view, scope, known, MOST_NEEDS, needs);
+        let taken = take(needs);
+        let mut idle = idle();
         if idle.len() < MOST_IDLE {
-            idle.push(selection);
+            idle.push(room);
         }
-        !outcome.truncated
+        taken
     }
 }

@@ -306,6 +306,14 @@ impl Session {
         }
     }
 
+    /// The last [`poll_message`](Self::poll_message) made a selection, and took so long: where
+    /// selecting is slow, views are looked at less often.
+    pub fn selected(&mut self, took: Duration, now: Duration) {
+        if let State::Open(open) = &mut self.state {
+            open.selected(took, now);
+        }
+    }
+
     /// The dataset is hosted no longer.
     pub fn handle_removal(&mut self) {
         let names = self.names();

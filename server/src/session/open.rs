@@ -11,7 +11,6 @@ use crate::limits::{LOOKUPS_PER_FRAME, Limits};
 use crate::published::Published;
 use escarp_proto::geometry::PageId;
 use escarp_proto::page::MAX_RECORD_BYTES;
-use escarp_proto::select::Need;
 use escarp_proto::view::View;
 use escarp_proto::wire::{
     Chunk, Class, ClientMessage, ErrorCode, Have, Hello, Miss, MissReason, PAGES_FRAME, PROTOCOL,
@@ -20,6 +19,9 @@ use escarp_proto::wire::{
 use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Duration;
+
+/// After a selection, so many times as long as it took none is made.
+const SELECTION_REST: u32 = 8;
 
 /// A message that waits to be sent, small: manifests are added when it goes.
 #[derive(Debug)]
@@ -49,8 +51,8 @@ pub(super) struct Open {
     pub(super) queue: WantQueue,
     pushes: Pushes,
     ahead: Ahead,
-    /// Most needs of one selection.
-    most_needs: usize,
+    /// Room for pieces.
+    most_pieces: usize,
     /// The newest view is not selected for yet, or not to its end.
     select_due: bool,
     /// The selection had no room for all needs.
@@ -89,7 +91,7 @@ impl Open {
             queue: WantQueue::new(limits.wanted_pages),
             pushes: Pushes::default(),
             ahead: Ahead::new(limits.look_ahead),
-            most_needs: limits.pushed_pages,
+            most_pieces: limits.pushed_pages,
             select_due: false,
             unfinished: false,
             sent_before: 0,
@@ -113,6 +115,12 @@ impl Open {
     /// before the next is read.
     pub(super) fn can_receive(&self, limits: &Limits) -> bool {
         self.replies.len() < limits.queued_replies && self.haves.is_empty()
+    }
+
+    /// A selection has taken so long: the next one waits, so that selecting takes only a part of the
+    /// time, however many sessions there are.
+    pub(super) fn selected(&mut self, took: Duration, now: Duration) {
+        self.views.rest(now + took * SELECTION_REST);
     }
 
     /// Figures since Hello.
@@ -357,20 +365,31 @@ impl Open {
         let Some((_, view, scope)) = self.views.current() else {
             return;
         };
-        let mut needs: Vec<Need> = Vec::new();
-        let all = self
-            .published
-            .select(&view, scope, self.most_needs, &mut needs);
-        let dropped = self.pushes.replace(&needs, &self.held);
-        self.stats.cancelled_pieces += dropped as u64;
+        let Open {
+            published,
+            pushes,
+            held,
+            most_pieces,
+            ..
+        } = self;
+        let replaced = published.select(&view, scope, |needs| {
+            pushes.replace(needs, held, *most_pieces)
+        });
+        self.stats.cancelled_pieces += replaced.dropped as u64;
         self.stats.selections += 1;
-        self.unfinished = !all;
+        self.unfinished = !replaced.is_all;
         self.sent_before = self.sent_bytes;
         if let Some(later) = self.ahead.view(&view) {
-            needs.clear();
-            self.published
-                .select(&later, Scope::InView, self.most_needs, &mut needs);
-            self.pushes.replace_ahead(&needs, &self.held);
+            let Open {
+                published,
+                pushes,
+                held,
+                most_pieces,
+                ..
+            } = self;
+            published.select(&later, Scope::InView, |needs| {
+                pushes.replace_ahead(needs, held, *most_pieces);
+            });
         }
         self.stalled = false;
     }

@@ -64,6 +64,15 @@ impl Rank {
     }
 }
 
+/// What became of the pieces before, and of the needs.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Replaced {
+    /// Pieces of before.
+    pub dropped: usize,
+    /// There was room for all.
+    pub is_all: bool,
+}
+
 /// Pieces that wait, for now and for what lies ahead.
 #[derive(Debug, Default)]
 pub(super) struct Pushes {
@@ -74,18 +83,20 @@ pub(super) struct Pushes {
 }
 
 impl Pushes {
-    /// Replaces all that waits by what these needs lack. How many pieces were dropped for it.
-    pub(super) fn replace(&mut self, needs: &[Need], held: &Held) -> usize {
+    /// Replaces all that waits by what these needs lack, as far as there is room for pieces.
+    pub(super) fn replace(&mut self, needs: &[Need], held: &Held, room: usize) -> Replaced {
         let dropped = self.now.len() + self.ahead.len();
         self.now = cut(needs, held, Some);
         self.ahead = Vec::new();
-        dropped
+        let is_all = keep_most_urgent(&mut self.now, room);
+        Replaced { dropped, is_all }
     }
 
     /// Replaces what lies ahead: of these needs, what will be in view.
-    pub(super) fn replace_ahead(&mut self, needs: &[Need], held: &Held) {
+    pub(super) fn replace_ahead(&mut self, needs: &[Need], held: &Held, room: usize) {
         let in_view = |class| (class <= Class::InView).then_some(Class::Predicted);
         self.ahead = cut(needs, held, in_view);
+        keep_most_urgent(&mut self.ahead, room);
     }
 
     /// The most urgent piece. What lies ahead goes before the ring, if it may go at all.
@@ -124,6 +135,14 @@ impl Pushes {
     pub(super) fn clear(&mut self) {
         *self = Pushes::default();
     }
+}
+
+/// Keeps so many pieces, the last ones. Whether that is all.
+fn keep_most_urgent(pieces: &mut Vec<Piece>, room: usize) -> bool {
+    let left_out = pieces.len().saturating_sub(room);
+    pieces.drain(..left_out);
+    pieces.shrink_to_fit();
+    left_out == 0
 }
 
 /// Cuts what the client lacks of these needs into pieces, most urgent last. `class_of` gives
@@ -245,7 +264,7 @@ mod tests {
                 }
             }
             let mut pushes = Pushes::default();
-            pushes.replace(&needs, &model);
+            pushes.replace(&needs, &model, usize::MAX);
             for piece in drained(&mut pushes, true) {
                 prop_assert_eq!(piece.first_part, model.next_part(piece.page));
                 if let Some((above, _)) = piece.page.parent() {
@@ -263,7 +282,7 @@ mod tests {
         #[test]
         fn pieces_go_by_class_and_then_by_what_they_mend(needs in needs()) {
             let mut pushes = Pushes::default();
-            pushes.replace(&needs, &Held::new(usize::MAX));
+            pushes.replace(&needs, &Held::new(usize::MAX), usize::MAX);
             for pair in drained(&mut pushes, true).windows(2) {
                 let [a, b] = pair else { unreachable!() };
                 prop_assert!(a.class < b.class || a.class == b.class && a.excess >= b.excess);
@@ -280,7 +299,7 @@ mod tests {
             need(child(1), Class::InView, 60.0, 5),
         ];
         let mut pushes = Pushes::default();
-        pushes.replace(&needs, &Held::new(9));
+        pushes.replace(&needs, &Held::new(9), usize::MAX);
         let order: Vec<_> = drained(&mut pushes, false)
             .iter()
             .map(|piece| (piece.page, piece.first_part, piece.last_part))
@@ -310,8 +329,8 @@ mod tests {
         let held = Held::new(9);
         let classes = |ahead| {
             let mut pushes = Pushes::default();
-            pushes.replace(&now, &held);
-            pushes.replace_ahead(&later, &held);
+            pushes.replace(&now, &held, usize::MAX);
+            pushes.replace_ahead(&later, &held, usize::MAX);
             let pieces = drained(&mut pushes, ahead);
             (
                 pieces.iter().map(|piece| piece.class).collect::<Vec<_>>(),
@@ -331,19 +350,35 @@ mod tests {
                 ..need(PageId::ROOT, Class::InView, 1.0, SLOT_PART)
             };
             let mut pushes = Pushes::default();
-            pushes.replace(&[all], &Held::new(9));
+            pushes.replace(&[all], &Held::new(9), usize::MAX);
             let pieces = drained(&mut pushes, false);
             assert_eq!(pieces.len(), 1, "{excess}: {pieces:?}");
             assert_eq!((pieces[0].first_part, pieces[0].last_part), (0, SLOT_PART));
         }
         let falling = need(PageId::ROOT, Class::InView, f32::INFINITY, SLOT_PART);
         let mut pushes = Pushes::default();
-        pushes.replace(&[falling], &Held::new(9));
+        pushes.replace(&[falling], &Held::new(9), usize::MAX);
         assert!(
             drained(&mut pushes, false)
                 .iter()
                 .all(|piece| piece.last_part > 0)
         );
+    }
+
+    #[test]
+    fn where_there_is_no_room_the_least_urgent_pieces_are_left_out() {
+        let child = |slot| PageId::ROOT.child(Slot::from_index(slot)).unwrap();
+        let needs: Vec<Need> = (0..9)
+            .map(|slot| need(child(slot), Class::InView, f32::from(slot) + 1.0, 1))
+            .collect();
+        let mut pushes = Pushes::default();
+        let replaced = pushes.replace(&needs, &Held::new(99), 4);
+        assert!(!replaced.is_all);
+        let kept: Vec<_> = drained(&mut pushes, false)
+            .iter()
+            .map(|piece| piece.page)
+            .collect();
+        assert_eq!(kept, [8, 7, 6, 5].map(child));
     }
 
     #[test]

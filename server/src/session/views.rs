@@ -56,6 +56,11 @@ impl ViewGate {
         self.waiting.map(|_| self.opens)
     }
 
+    /// Looks at no other view before this time.
+    pub(super) fn rest(&mut self, until: Duration) {
+        self.opens = self.opens.max(until);
+    }
+
     /// Looks at nothing until the next view comes.
     pub(super) fn forget(&mut self) {
         self.waiting = None;

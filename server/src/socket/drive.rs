@@ -138,9 +138,12 @@ impl Driver<'_> {
         if self.outgoing.since().is_some() {
             return Ok(());
         }
-        let (session, message, read) = next_message(self.session.take()).await?;
+        let (mut session, message, read) = next_message(self.session.take()).await?;
         let reason = session.close_reason().cloned();
-        self.tally.note(&session.stats(), read, self.now());
+        let now = self.now();
+        if let Some(took) = self.tally.note(&session.stats(), read, now) {
+            session.selected(took, now);
+        }
         self.session = Some(session);
         match (message, reason) {
             (Some(message), _) => self.outgoing.start(Message::Binary(message.into())),

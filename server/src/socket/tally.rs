@@ -30,8 +30,13 @@ impl<'a> Tally<'a> {
     }
 
     /// Takes over what has changed; `read` is how long the last reading of records took, if there
-    /// was one.
-    pub(super) fn note(&mut self, stats: &SessionStats, read: Option<Duration>, now: Duration) {
+    /// was one. How long a selection took, if there was one.
+    pub(super) fn note(
+        &mut self,
+        stats: &SessionStats,
+        read: Option<Duration>,
+        now: Duration,
+    ) -> Option<Duration> {
         let before = std::mem::replace(&mut self.before, *stats);
         self.waiting
             .set(usize::try_from(stats.waiting).unwrap_or(usize::MAX));
@@ -49,6 +54,7 @@ impl<'a> Tally<'a> {
             self.metrics.target_error_seconds.observe(took);
         }
         self.note_stall(&before, stats, now);
+        read.filter(|_| stats.selections > before.selections)
     }
 
     fn count_bytes(&self, before: &SessionStats, stats: &SessionStats) {

@@ -250,6 +250,12 @@ impl<'a> Client<'a> {
         (!link.view_pending()).then(|| link.view_sequence())
     }
 
+    /// The generation that it shows.
+    pub fn generation(&self) -> Option<u64> {
+        let terrain = self.remote.as_ref()?.terrain()?;
+        Some(terrain.manifest().generation)
+    }
+
     /// Whether it has all that it can have.
     pub fn is_settled(&self) -> bool {
         self.remote
