@@ -131,6 +131,12 @@ impl Terrain {
         seeds
     }
 
+    /// Whether the page above is here, as far as that is needed to link this one.
+    pub fn has_place_for(&self, page: PageId) -> bool {
+        let above = page.parent().map(|(above, _)| self.tree.page(above));
+        above.is_none_or(|above| above.is_some_and(Page::has_slots))
+    }
+
     /// Takes over a page of another terrain, after those above it. Whether it fits.
     pub fn take_seed(&mut self, seed: Seed) -> bool {
         let id = seed.id();

@@ -130,15 +130,8 @@ impl Generations {
             // What hangs below those pages has to wait for them.
             return false;
         };
-        while !seeds.is_empty() && stages.begin_page() {
-            if let Some(seed) = seeds.pop() {
-                let id = seed.id();
-                if !next.terrain.take_seed(seed) {
-                    step.dropped.push(id);
-                }
-            }
-        }
-        seeds.is_empty() && next.terrain.link_arrived(step, stages)
+        let is_all = take_ready(&mut next.terrain, seeds, step, stages);
+        is_all && next.terrain.link_arrived(step, stages)
     }
 
     /// Brings what is shown up to date for a view, and shows the new generation as soon as it is as
@@ -168,15 +161,16 @@ impl Generations {
             // Nothing that is gone can be taken over.
             step.dropped.extend_from_slice(&old.dropped);
         }
-        let is_seeded = matches!(&next.seeds, Seeds::Waiting(seeds) if seeds.is_empty());
-        if !is_seeded {
+        let Seeds::Waiting(seeds) = &mut next.seeds else {
             return shown_step(old, step);
-        }
-        let new = next.terrain.finish(view, step, stages);
+        };
+        let mut new = next.terrain.finish(view, step, stages);
         let as_good = new.excess <= old.excess.max(1.0);
         let done = is_all && new.waiting == 0 && next.terrain.wants().is_empty();
         let can_be_shown = new.triangles > 0 && new.excess.is_finite();
         if as_good || can_be_shown && (done || new.memory_full) {
+            // Pages that are not above anything in the new mesh found no place until now.
+            new.dropped.extend(seeds.iter().map(Seed::id));
             self.shown = self.next.take().map(|next| next.terrain);
             return new;
         }
@@ -198,6 +192,32 @@ impl Generations {
         }
         dropped
     }
+}
+
+/// Takes over those pages whose pages above are here, as far as there is time; the others wait, as
+/// what is above them has changed, and is on its way. Whether no page is left that could be taken.
+fn take_ready(
+    terrain: &mut Terrain,
+    seeds: &mut Vec<Seed>,
+    step: &mut TerrainStep,
+    stages: &mut Stages<'_>,
+) -> bool {
+    let mut waiting = Vec::new();
+    while let Some(seed) = seeds.pop() {
+        let id = seed.id();
+        if !terrain.has_place_for(id) {
+            waiting.push(seed);
+        } else if !stages.begin_page() {
+            seeds.push(seed);
+            break;
+        } else if !terrain.take_seed(seed) {
+            step.dropped.push(id);
+        }
+    }
+    let is_all = seeds.is_empty();
+    // In their order: those above at the end.
+    seeds.extend(waiting.into_iter().rev());
+    is_all
 }
 
 /// Takes over all that is left, as far as it fits; the pages that do not.
