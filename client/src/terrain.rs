@@ -138,11 +138,13 @@ impl Terrain {
             .collect()
     }
 
-    /// Takes over a page of another terrain, after those above it. Whether it fits.
-    pub fn take_seed(&mut self, seed: Seed) -> bool {
+    /// Takes over a page of another terrain, after those above it. Whether it fits; if not, it is
+    /// noted as dropped.
+    pub fn take_seed(&mut self, seed: Seed, step: &mut TerrainStep) -> bool {
         let id = seed.id();
-        let has_room = id == PageId::ROOT || self.makes_room(&mut Vec::new());
+        let has_room = id == PageId::ROOT || self.makes_room(&mut step.dropped);
         if !has_room || self.tree.link(seed.page).is_err() {
+            step.dropped.push(id);
             return false;
         }
         if let Some(digest) = seed.digest {
@@ -352,7 +354,9 @@ impl Terrain {
     /// Takes over what the mesh lacks; how many pages that is.
     fn collect_wants(&mut self, memory_full: bool) -> usize {
         let wishes = self.tree.wishes();
-        let open = |wish: &&Wish| !memory_full && !self.lost.is_missing(wish.page);
+        // There always is room for the root.
+        let has_room = |wish: &Wish| !memory_full || wish.page == PageId::ROOT;
+        let open = |wish: &&Wish| has_room(wish) && !self.lost.is_missing(wish.page);
         let wants = wishes.iter().filter(open).map(|wish| self.to_want(wish));
         self.wants = wants.collect();
         let lost = |wish: &&Wish| self.lost.is_missing(wish.page);

@@ -78,9 +78,8 @@ impl Known {
         while !self.ready.is_empty() && stages.begin_page() {
             if let Some(seed) = self.ready.pop() {
                 let id = seed.id();
-                match terrain.take_seed(seed) {
-                    true => self.arrived(id, terrain),
-                    false => step.dropped.push(id),
+                if terrain.take_seed(seed, step) {
+                    self.arrived(id, terrain);
                 }
             }
         }
