@@ -1,7 +1,7 @@
 //! A feed of pages without a network: what the mesh tree wishes for, it gets.
 
 use escarp_client::mesh::{MeshOptions, MeshTree, UpdateStats, Wish};
-use escarp_proto::page::{Page, RecordHeader};
+use escarp_proto::page::{Page, RecordHeader, last_part};
 use escarp_proto::view::View;
 use escarp_tiles::dataset::Dataset;
 
@@ -10,6 +10,7 @@ pub struct Feed<'a> {
     /// The tree.
     pub tree: MeshTree,
     dataset: &'a Dataset,
+    whole: bool,
 }
 
 impl<'a> Feed<'a> {
@@ -25,7 +26,15 @@ impl<'a> Feed<'a> {
         Feed {
             tree: MeshTree::with_options(grid, georef, options),
             dataset,
+            whole: false,
         }
+    }
+
+    /// The same with pages that come whole: no part that arrives later changes a bound.
+    #[must_use]
+    pub fn whole(mut self) -> Self {
+        self.whole = true;
+        self
     }
 
     /// Links what one wish is for, whether or not it was wished; `false` if it no longer fits.
@@ -36,9 +45,14 @@ impl<'a> Feed<'a> {
         let finest = self.dataset.grid().is_finest(wish.page);
         let record = self.dataset.record(wish.page).expect("checksums match");
         let record = record.unwrap_or_else(|| panic!("no record for {}", wish.page));
+        let parts = if self.whole {
+            last_part(finest)
+        } else {
+            wish.parts
+        };
         let header = RecordHeader::read(wish.page, finest, record.bytes).expect("a header");
-        let bytes = header.part_bytes(0, wish.parts).expect("parts that exist");
-        let page = Page::decode(wish.page, finest, wish.parts, &record.bytes[bytes]);
+        let bytes = header.part_bytes(0, parts).expect("parts that exist");
+        let page = Page::decode(wish.page, finest, parts, &record.bytes[bytes]);
         self.tree.link(page.expect("the record decodes")).is_ok()
     }
 

@@ -235,7 +235,13 @@ fn a_server_says_which_page_is_damaged_and_goes_on() {
                     reason
                 })
             );
+            // What was sent comes again only if the client has it no longer.
             let sound = PageId::new(level, 0, 0).unwrap();
+            let evict = ClientMessage::Evict(vec![sound.key()]);
+            socket
+                .send(Message::binary(evict.encode()))
+                .await
+                .expect("it is sent");
             ask(&mut socket, want(sound), |m| {
                 matches!(m, ServerMessage::Pages(_))
             })

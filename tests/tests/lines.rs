@@ -48,10 +48,10 @@ fn every_client_converges_over_a_line_with_delay_and_loss_and_nothing_is_left_be
                 last.bound_px.is_some_and(|px| px <= 2.0),
                 "{name}: {last:?}"
             );
-            assert!(
-                leg.converged_s.is_some() && leg.settled_s.is_some(),
-                "{name}"
-            );
+            // A client of tiles is watched only until it has converged.
+            let settles = outcome.kind != Kind::Tiles;
+            assert!(leg.converged_s.is_some(), "{name}");
+            assert!(leg.settled_s.is_some() || !settles, "{name}");
             assert!(leg.used_bytes <= leg.page_bytes, "{name}");
             assert!(leg.page_bytes <= Some(leg.bytes), "{name}");
         }

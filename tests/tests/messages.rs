@@ -23,7 +23,7 @@ fn wrong_usage_ends_with_2_and_help_with_0() {
         ),
         (
             "escarp-client",
-            &["snapshot", "https://127.0.0.1/a", "-o", "c.png"],
+            &["snapshot", "ftp://127.0.0.1/a", "-o", "c.png"],
         ),
         (
             "escarp-client",

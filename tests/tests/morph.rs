@@ -221,7 +221,7 @@ fn largest_jump(
 ) -> (f64, u64) {
     let georef = &data.dataset.manifest().georef;
     let samples = data.dataset.manifest().samples;
-    let mut feed = Feed::with_options(&data.dataset, options);
+    let mut feed = Feed::with_options(&data.dataset, options).whole();
     let mut before: Option<Vec<f64>> = None;
     let (mut largest, mut many) = (0.0f64, 0);
     for frame in 0..frames {
@@ -323,7 +323,7 @@ fn pictures(data: &TempDataset, morph: f64, frames: u32) -> Vec<image::RgbaImage
     let manifest = data.dataset.manifest();
     let output = Output::image(4);
     let mut scene = Scene::new(&gpu, &manifest.georef, manifest.height_range, output);
-    let mut feed = Feed::with_options(&data.dataset, options(morph));
+    let mut feed = Feed::with_options(&data.dataset, options(morph)).whole();
     let mut params = DrawParams::new(View {
         viewport_px: [640, 360],
         ..slow(0, 4.0)

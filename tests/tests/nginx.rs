@@ -136,7 +136,7 @@ fn immutable_contents_are_fetched_once_and_then_come_from_the_cache() {
         assert_eq!(part.header("access-control-allow-origin"), Some("*"));
     }
     // A part of what is not there yet.
-    let path = cached.address("pack/4/0/0");
+    let path = cached.address("page/4/0/0");
     let part = cached.ask(&path, "Range: bytes=-5\r\n");
     assert_eq!(
         (part.kept(), part.body.len()),

@@ -6,7 +6,7 @@ use escarp_client::remote::RemoteTerrain;
 use escarp_tests::host::{MEMORY, PATIENCE};
 use escarp_tests::programs::{Desk, ServerProcess, program, run};
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs::{self, File};
+use std::fs;
 use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::path::Path;
@@ -16,10 +16,9 @@ use std::time::{Duration, Instant};
 
 const TOKEN: &str = "a-token-of-some-length";
 
-/// A server with its log in a file.
+/// A server and its log.
 struct Served {
     server: ServerProcess,
-    log: std::path::PathBuf,
 }
 
 impl Served {
@@ -27,18 +26,15 @@ impl Served {
     fn start(desk: &Desk, arguments: &[&str]) -> Served {
         let mut command = program("escarp-server");
         command.args(arguments).arg(desk.dataset());
-        Served::of(desk, command)
+        Served::of(command)
     }
 
-    fn of(desk: &Desk, mut command: Command) -> Served {
-        let log = desk.path("log");
+    fn of(mut command: Command) -> Served {
         command
             .args(["--listen", "127.0.0.1:0"])
-            .env("RUST_LOG", "info")
-            .stderr(File::create(&log).expect("a file"));
+            .env("RUST_LOG", "info");
         Served {
             server: ServerProcess::of(command, 1),
-            log,
         }
     }
 
@@ -53,7 +49,7 @@ impl Served {
     }
 
     fn log(&self) -> String {
-        fs::read_to_string(&self.log).expect("the log")
+        self.server.log()
     }
 
     /// Waits until the log says something.
@@ -576,7 +572,7 @@ fn on_its_way_out_the_server_says_so_first_and_goes_on_for_a_while() {
             format!("no {wanted} in {:?}", heard.lock().unwrap())
         });
     };
-    let served = Served::of(&desk, command);
+    let served = Served::of(command);
     hear("READY=1");
     hear("WATCHDOG=1");
     assert_eq!(status(&served.get("/readyz", "")), "200");
@@ -614,7 +610,7 @@ fn the_server_takes_the_descriptors_it_may_need_and_without_them_it_waits_quietl
         command
             .args(["--limit", "connections=400"])
             .stdin(Stdio::null());
-        Served::of(&desk, command)
+        Served::of(command)
     };
     let raised = limited("-Sn 64");
     let found = samples(&raised.get("/metrics", ""));

@@ -108,22 +108,23 @@ impl DiskCache {
         left
     }
 
-    /// Whether the disk has a page, and is asked for it.
+    /// Whether the disk has a page, and is asked for it, or will be.
     fn asks(&mut self, want: &Want) -> bool {
         if self.pending.contains(&want.page) {
             return true;
         }
-        if want.first_part > 0
-            || self.pending.len() >= MOST_PENDING
-            || self.index().current(want.page).is_none()
-        {
+        if want.first_part > 0 || self.index().current(want.page).is_none() {
             return false;
         }
-        let asked = self.commands.try_send(Command::Get(want.page)).is_ok();
-        if asked {
-            self.pending.insert(want.page);
+        // Where the disk is busy, it is asked when the page is wanted again, in the next frame.
+        if self.pending.len() >= MOST_PENDING {
+            return true;
         }
-        asked
+        match self.commands.try_send(Command::Get(want.page)) {
+            Ok(()) => self.pending.insert(want.page),
+            Err(TrySendError::Full(_)) => true,
+            Err(TrySendError::Disconnected(_)) => false,
+        }
     }
 
     /// Whether pages are still to come from the disk.
