@@ -235,6 +235,7 @@ impl Link {
     pub fn handle_timeout(&mut self, now: Duration) {
         self.misses.expire(now);
         if self.is_open() {
+            self.keep_alive.watch(now);
             self.open_gate(now);
             self.ask_again(now);
         }
