@@ -14,7 +14,7 @@ use escarp_proto::select::{Known, Sketch};
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use tracing::warn;
+use tracing::debug;
 
 /// Memory for the sketches of one dataset if nobody says otherwise, bytes. A view of a large
 /// dataset at 2 px takes about a thousand pages, of 1.2 KiB each.
@@ -154,7 +154,7 @@ impl Sketches {
 
     fn name(&self, id: PageId, why: &str) {
         if self.named.fetch_add(1, Ordering::Relaxed) < MOST_NAMED {
-            warn!(page = %id, "nothing is selected below a page that is not there: {why}");
+            debug!(page = %id, "nothing is selected below a page that is not there: {why}");
         }
     }
 }

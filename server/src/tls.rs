@@ -148,7 +148,12 @@ fn private_key(file: &Path) -> Result<PrivateKeyDer<'static>, TlsError> {
 /// The PEM sections of a file (RFC 7468) that have to do with TLS.
 fn sections(file: &Path) -> Result<Vec<(SectionKind, Vec<u8>)>, TlsError> {
     let read = || -> io::Result<Vec<u8>> {
-        let bytes = std::fs::metadata(file)?.len();
+        let found = std::fs::metadata(file)?;
+        if !found.is_file() {
+            // Reading a pipe or a device may never end.
+            return Err(io::Error::other("not a regular file"));
+        }
+        let bytes = found.len();
         if bytes > MAX_FILE_BYTES {
             let error = format!("{bytes} bytes; at most {MAX_FILE_BYTES} are read");
             return Err(io::Error::other(error));

@@ -1,6 +1,6 @@
 //! `escarp-client pull`.
 
-use crate::net::Url;
+use crate::net::{Credentials, TOKEN_VARIABLE, Url};
 use crate::pull::{Bounds, Progress, PullOptions, pull};
 use anyhow::Result;
 use clap::Args;
@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 #[derive(Debug, Args)]
 pub(super) struct PullArgs {
-    /// Address of the dataset, http://HOST:PORT/NAME
+    /// Address of the dataset, http://HOST:PORT/NAME, or https:// for TLS
     #[arg(value_name = "URL")]
     url: Url,
     /// Region, in metres of the world; widened to whole pages, by an eighth at most. Outside there
@@ -26,6 +26,12 @@ pub(super) struct PullArgs {
     /// Folder to write; it must not exist
     #[arg(short, long, value_name = "NAME.escarp")]
     output: PathBuf,
+    /// File with the token that opens the dataset; without it, ESCARP_TOKEN has the token itself
+    #[arg(long, value_name = "FILE")]
+    token: Option<PathBuf>,
+    /// Certificates (PEM) to believe in place of the system's, for a server of a private authority
+    #[arg(long, value_name = "FILE")]
+    ca: Option<PathBuf>,
     /// Say how many pages and bytes it would be, and write nothing
     #[arg(long)]
     dry_run: bool,
@@ -67,8 +73,11 @@ pub(super) fn run(args: PullArgs) -> Result<()> {
         patience: Duration::from_secs(args.wait),
         token: None,
     };
+    let variable = std::env::var(TOKEN_VARIABLE).ok();
+    let credentials = Credentials::read(args.token.as_deref(), variable, args.ca)?;
+    let url = args.url.with_credentials(credentials);
     let mut last = Instant::now();
-    let report = pull(&args.url, &options, &mut |progress: Progress| {
+    let report = pull(&url, &options, &mut |progress: Progress| {
         if last.elapsed() >= LINES {
             last = Instant::now();
             let Progress {

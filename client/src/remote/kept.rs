@@ -12,7 +12,7 @@ use std::time::Duration;
 
 /// Longest wait for the disk before connecting. What is here then is announced in one go with the
 /// first view, so that the server does not send it.
-const HEAD_START: Duration = Duration::from_millis(300);
+const HEAD_START: Duration = Duration::from_secs(1);
 
 /// A cache, and where the start of the first session stands.
 pub(super) struct Kept {
@@ -24,6 +24,8 @@ pub(super) struct Kept {
     is_released: bool,
     /// Whether the disk was asked for what a view needs.
     is_asked: bool,
+    /// Whether it had some of that, so that there may be more below.
+    has_more: bool,
     since: Option<Duration>,
 }
 
@@ -42,6 +44,7 @@ impl RemoteTerrain {
             is_resumed: false,
             is_released: false,
             is_asked: false,
+            has_more: false,
             since: None,
         });
     }
@@ -89,7 +92,7 @@ impl RemoteTerrain {
             return true;
         };
         let since = *kept.since.get_or_insert(now);
-        let is_loaded = kept.is_asked && !kept.cache.is_reading() && waiting == 0;
+        let is_loaded = kept.is_asked && !kept.has_more && !kept.cache.is_reading() && waiting == 0;
         let has_nothing = kept.is_resumed && kept.cache.manifest().is_none();
         kept.is_released |= is_loaded || has_nothing || now >= since + HEAD_START;
         kept.is_released && !kept.is_offline
@@ -172,6 +175,7 @@ impl RemoteTerrain {
         };
         let left = kept.cache.take_over(wants);
         kept.is_asked |= kept.is_resumed;
+        kept.has_more = left.len() < wants.len();
         if !kept.is_offline {
             return left;
         }

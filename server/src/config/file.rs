@@ -233,6 +233,10 @@ fn tokens(path: &Path) -> Result<Vec<Token>, ConfigError> {
 fn read(path: &Path) -> Result<String, ConfigError> {
     let wrong = |what: String| ConfigError::at(path.display(), what);
     let found = std::fs::metadata(path).map_err(|error| wrong(error.to_string()))?;
+    if !found.is_file() {
+        // Reading a pipe or a device may never end.
+        return Err(wrong("not a regular file".into()));
+    }
     if found.len() > MAX_BYTES {
         let bytes = found.len();
         return Err(wrong(format!(

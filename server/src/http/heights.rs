@@ -201,8 +201,8 @@ async fn sight(
     let kind = query.kind()?;
     let points = [query.pair("observer")?, query.pair("target")?];
     let above_ground_m = [
-        query.number("observer_height")?.unwrap_or(EYE_M),
-        query.number("target_height")?.unwrap_or(0.0),
+        query.above_ground("observer_height", EYE_M)?,
+        query.above_ground("target_height", 0.0)?,
     ];
     let curvature = query.curvature()?;
     let most = app.limits.heights.clone();
@@ -253,8 +253,8 @@ async fn viewshed(
     let radius_m = query.needed("radius")?;
     let resolution_m = query.number("resolution")?;
     let above_ground_m = [
-        query.number("observer_height")?.unwrap_or(EYE_M),
-        query.number("target_height")?.unwrap_or(0.0),
+        query.above_ground("observer_height", EYE_M)?,
+        query.above_ground("target_height", 0.0)?,
     ];
     let curvature = query.curvature()?;
     let most = app.limits.heights.clone();

@@ -6,12 +6,13 @@ use axum::response::{IntoResponse, Json, Response};
 use serde::Serialize;
 
 /// The addresses of the server, for those who took a wrong one.
-const ADDRESSES: [&str; 13] = [
+const ADDRESSES: [&str; 19] = [
     "/",
     "/healthz",
     "/readyz",
     "/metrics",
     "/datasets",
+    "/openapi.json",
     "/{name}",
     "/{name}/current",
     "/{name}/{generation}/manifest",
@@ -19,6 +20,11 @@ const ADDRESSES: [&str; 13] = [
     "/{name}/{generation}/pack/{level}/{x}/{y}",
     "/{name}/manifest",
     "/{name}/page/{level}/{x}/{y}",
+    "/{name}/heights",
+    "/{name}/profile",
+    "/{name}/sight",
+    "/{name}/viewshed.png",
+    "/{name}/overview.png",
     "/session (WebSocket)",
 ];
 

@@ -20,8 +20,10 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// After a selection, so many times as long as it took none is made.
-const SELECTION_REST: u32 = 8;
+/// After a selection, so many times as long as it took none is made,
+const SELECTION_REST: u32 = 4;
+/// but no longer than this.
+const LONGEST_REST: Duration = Duration::from_millis(250);
 
 /// A message that waits to be sent, small: manifests are added when it goes.
 #[derive(Debug)]
@@ -120,7 +122,8 @@ impl Open {
     /// A selection has taken so long: the next one waits, so that selecting takes only a part of the
     /// time, however many sessions there are.
     pub(super) fn selected(&mut self, took: Duration, now: Duration) {
-        self.views.rest(now + took * SELECTION_REST);
+        self.views
+            .rest(now + (took * SELECTION_REST).min(LONGEST_REST));
     }
 
     /// Figures since Hello.
@@ -215,7 +218,12 @@ impl Open {
             let text = format!("the new generation needs codec {codec}");
             return Err(PeerError::new(ErrorCode::Version, text));
         }
+        // The same generation, opened again: nothing has changed for the client.
+        let is_same = published.source().generation_id() == self.published.source().generation_id();
         self.published = published;
+        if is_same {
+            return Ok(());
+        }
         let of_both = |reply: &Reply| matches!(reply, Reply::Welcome | Reply::Pong(_));
         let welcomed = !matches!(self.replies.front(), Some(Reply::Welcome));
         self.replies.retain(of_both);

@@ -86,7 +86,9 @@ impl Pushes {
     /// Replaces all that waits by what these needs lack, as far as there is room for pieces.
     pub(super) fn replace(&mut self, needs: &[Need], held: &Held, room: usize) -> Replaced {
         let dropped = self.now.len() + self.ahead.len();
-        self.now = cut(needs, held, Some);
+        // What something in view waits for mends at least as much as that: it needs no class of
+        // its own, which would bring fine things forward before coarse ones.
+        self.now = cut(needs, held, |class| Some(class.max(Class::InView)));
         self.ahead = Vec::new();
         let is_all = keep_most_urgent(&mut self.now, room);
         Replaced { dropped, is_all }

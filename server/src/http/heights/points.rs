@@ -5,6 +5,7 @@ use crate::heights::{Height, HeightError};
 use axum::body::{Body, Bytes, to_bytes};
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::IntoResponse;
+use escarp_proto::view::FARTHEST_EYE_M;
 use serde::Deserialize;
 use std::fmt::Write;
 use std::time::Duration;
@@ -78,7 +79,7 @@ pub(super) fn from_csv(body: &[u8], most: usize) -> Result<Vec<[f64; 2]>, Height
 fn point(line: &str) -> Option<[f64; 2]> {
     let mut numbers = line.split(',').map(|number| number.trim().parse::<f64>());
     let point = [numbers.next()?.ok()?, numbers.next()?.ok()?];
-    let is_whole = numbers.next().is_none() && point.iter().all(|v| v.is_finite());
+    let is_whole = numbers.next().is_none() && point.iter().all(|v| v.abs() <= FARTHEST_EYE_M);
     is_whole.then_some(point)
 }
 

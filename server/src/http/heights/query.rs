@@ -1,8 +1,12 @@
 //! What stands in an address after `?`: every word is known, or refused.
 
 use crate::heights::{CoordinateKind, Curvature, Detail, Frame, GridPlace, HeightError, Spread};
+use escarp_proto::view::FARTHEST_EYE_M;
 use std::collections::BTreeMap;
 use std::str::FromStr;
+
+/// Observers and targets are no higher, metres: beyond, everything is in sight or nothing.
+const MOST_ABOVE_GROUND_M: f64 = 1e7;
 
 /// Bent light, unless told otherwise.
 const REFRACTION: f64 = 0.13;
@@ -40,6 +44,18 @@ impl Query {
             let found = format!("{name}={}", shortened(value));
             HeightError::usage(found, allowed)
         })
+    }
+
+    /// A height above the ground, metres.
+    pub(super) fn above_ground(&self, name: &str, usual: f64) -> Result<f64, HeightError> {
+        let height_m = self.number(name)?.unwrap_or(usual);
+        match (0.0..=MOST_ABOVE_GROUND_M).contains(&height_m) {
+            true => Ok(height_m),
+            false => Err(HeightError::usage(
+                format!("{name}={height_m}"),
+                format!("0 to {MOST_ABOVE_GROUND_M} metres above the ground"),
+            )),
+        }
     }
 
     /// A finite number.
@@ -157,7 +173,9 @@ fn shortened(text: &str) -> String {
 fn pair(text: &str) -> Option<[f64; 2]> {
     let (x, y) = text.split_once(',')?;
     let pair: [f64; 2] = [x.trim().parse().ok()?, y.trim().parse().ok()?];
-    pair.iter().all(|v| v.is_finite()).then_some(pair)
+    pair.iter()
+        .all(|v| v.abs() <= FARTHEST_EYE_M)
+        .then_some(pair)
 }
 
 /// A place that must be within the data.
