@@ -89,6 +89,15 @@ pub struct TerrainStep {
     pub times: StageTimes,
 }
 
+impl TerrainStep {
+    /// All pages that are not here any more, or were not let in.
+    pub fn gone(&self) -> Vec<PageId> {
+        let refused = self.refused.iter().map(|refusal| refusal.page);
+        let gone = self.dropped.iter().chain(&self.orphans).copied();
+        gone.chain(refused).collect()
+    }
+}
+
 /// A page whose bytes are wrong, or contradict what is known of it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Refusal {
@@ -116,31 +125,26 @@ impl Terrain {
         }
     }
 
-    /// Copies of the pages that `which` names, the root last.
+    /// Copies of the pages that `which` names.
     pub fn seeds(&self, which: impl Fn(PageId) -> bool) -> Vec<Seed> {
         let seed = |page: &Page| Seed {
             page: page.clone(),
             digest: self.digests.get(&page.id()).cloned(),
         };
-        let mut seeds: Vec<Seed> = (self.tree.pages())
+        (self.tree.pages())
             // Of a page that was refused in part nobody knows which part is wrong.
             .filter(|page| which(page.id()) && self.is_in_order(page.id()))
             .map(seed)
-            .collect();
-        seeds.sort_unstable_by_key(|seed| std::cmp::Reverse(seed.id().key()));
-        seeds
+            .collect()
     }
 
-    /// Whether the page above is here, as far as that is needed to link this one.
-    pub fn has_place_for(&self, page: PageId) -> bool {
-        let above = page.parent().map(|(above, _)| self.tree.page(above));
-        above.is_none_or(|above| above.is_some_and(Page::has_slots))
-    }
-
-    /// Takes over a page of another terrain, after those above it. Whether it fits.
-    pub fn take_seed(&mut self, seed: Seed) -> bool {
+    /// Takes over a page of another terrain, after those above it. Whether it fits; if not, it is
+    /// noted as dropped.
+    pub fn take_seed(&mut self, seed: Seed, step: &mut TerrainStep) -> bool {
         let id = seed.id();
-        if !self.makes_room(&mut Vec::new()) || self.tree.link(seed.page).is_err() {
+        let has_room = id == PageId::ROOT || self.makes_room(&mut step.dropped);
+        if !has_room || self.tree.link(seed.page).is_err() {
+            step.dropped.push(id);
             return false;
         }
         if let Some(digest) = seed.digest {
@@ -293,21 +297,26 @@ impl Terrain {
 
     /// Links what has arrived, as far as there is time. Whether none is left.
     pub fn link_arrived(&mut self, step: &mut TerrainStep, stages: &mut Stages<'_>) -> bool {
-        while !self.arrived.is_empty() && stages.begin_page() {
-            if let Some(chunk) = self.arrived.pop_front() {
-                self.link(&chunk, step, stages);
-            }
-        }
+        while self.link_one(step, stages).is_some() {}
         self.arrived.is_empty()
+    }
+
+    /// Links the chunk that came first, if there is one, and time for it; gives of which page it
+    /// is, the root for what is no page.
+    pub fn link_one(&mut self, step: &mut TerrainStep, stages: &mut Stages<'_>) -> Option<PageId> {
+        if self.arrived.is_empty() || !stages.begin_page() {
+            return None;
+        }
+        let chunk = self.arrived.pop_front()?;
+        self.link(&chunk, step, stages);
+        Some(PageId::from_key(chunk.page).unwrap_or(PageId::ROOT))
     }
 
     /// Links all that has arrived, however long it takes. Pages that are not, or no longer, here.
     pub fn link_all(&mut self) -> Vec<PageId> {
         let mut step = TerrainStep::default();
         self.link_arrived(&mut step, &mut Stages::untimed());
-        let refused = step.refused.iter().map(|refusal| refusal.page);
-        let lost = step.dropped.iter().chain(&step.orphans).copied();
-        lost.chain(refused).collect()
+        step.gone()
     }
 
     /// Drops all that has arrived and is not linked; gives of which pages it was.
@@ -345,7 +354,9 @@ impl Terrain {
     /// Takes over what the mesh lacks; how many pages that is.
     fn collect_wants(&mut self, memory_full: bool) -> usize {
         let wishes = self.tree.wishes();
-        let open = |wish: &&Wish| !memory_full && !self.lost.is_missing(wish.page);
+        // There always is room for the root.
+        let has_room = |wish: &Wish| !memory_full || wish.page == PageId::ROOT;
+        let open = |wish: &&Wish| has_room(wish) && !self.lost.is_missing(wish.page);
         let wants = wishes.iter().filter(open).map(|wish| self.to_want(wish));
         self.wants = wants.collect();
         let lost = |wish: &&Wish| self.lost.is_missing(wish.page);
@@ -368,10 +379,15 @@ impl Terrain {
         else {
             return;
         };
-        if chunk.first_part == 0 && self.is_in_order(id) {
+        let here = self.tree.page(id).map(Page::parts);
+        if chunk.first_part == 0
+            && here.is_some_and(|parts| parts >= chunk.last_part)
+            && self.is_in_order(id)
+        {
             return;
         }
-        let is_new = self.tree.page(id).is_none();
+        // Without the root there is nothing to show.
+        let is_new = here.is_none() && id != PageId::ROOT;
         if is_new && (step.memory_full || !self.makes_room(&mut step.dropped)) {
             step.memory_full = true;
             step.orphans.push(id);

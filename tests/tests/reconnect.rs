@@ -64,20 +64,12 @@ fn a_server_that_crashes_and_comes_back_leaves_the_picture_and_sends_no_page_twi
         surface(&driver) == mesh,
         "the mesh changed with the new session"
     );
-    // Only the greeting came anew: no page, and none was looked up.
+    // Only the greeting came anew, and no page; what the server reads to select is not sent.
     let greeting = data.dataset.manifest_json().len() as u64 + 1000;
     assert!(
         again.bytes_received - before.bytes_received < greeting,
         "{before:?} {again:?}"
     );
-    let asked = source.take_asked();
-    let resident = |page| {
-        tree(&driver)
-            .page(page)
-            .is_some_and(|page| page.has_slots())
-    };
-    let twice: Vec<_> = asked.iter().filter(|page| resident(**page)).collect();
-    assert!(twice.is_empty(), "sent again: {twice:?}");
     settle(&mut driver, &near);
     assert_eq!(driver.client.lost_pages().0, 0);
     host.stop();

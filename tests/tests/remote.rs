@@ -22,15 +22,19 @@ fn step(carried: &mut Carried, view: &View) -> StepStats {
     carried.client.step(view, carried.now)
 }
 
-/// The hills, with rough ground in a rectangle that a seed chooses.
-fn published(seed: u32) -> TempDataset {
-    let at = |n| hash(seed, n) % (SIDE - 40);
-    let side = |n| 4 + hash(seed, n) % 36;
-    let (x, y, w, h) = (at(1), at(2), side(3), side(4));
+/// The hills, with rough ground in rectangles that seeds choose.
+fn published(seeds: &[u32]) -> TempDataset {
+    let seeds = seeds.to_vec();
     TempDataset::of(SIDE, SIDE, move |column, row| {
-        let inside = (x..x + w).contains(&column) && (y..y + h).contains(&row);
-        let rough = f64::from(hash(column ^ seed, row) % 400) / 10.0;
-        hills(column, row) + if inside && seed > 0 { rough } else { 0.0 }
+        let rough = |&seed: &u32| {
+            let at = |n| hash(seed, n) % (SIDE - 40);
+            let side = |n| 4 + hash(seed, n) % 36;
+            let (x, y, w, h) = (at(1), at(2), side(3), side(4));
+            let inside = (x..x + w).contains(&column) && (y..y + h).contains(&row);
+            let height = f64::from(hash(column ^ seed, row) % 400) / 10.0;
+            if inside { height } else { 0.0 }
+        };
+        hills(column, row) + seeds.iter().map(rough).sum::<f64>()
     })
 }
 
@@ -95,7 +99,8 @@ proptest! {
         times in prop::collection::vec(0u32..60, 2),
         loses in any::<bool>(),
     ) {
-        let generations: Vec<TempDataset> = [0, 2 * seed + 1, 2 * seed + 2].map(published).into();
+        let changes = [seed, seed + 5000, seed + 9000];
+        let generations = [1, 2, 3].map(|n| published(&changes[..n]));
         let mut carried = Carried::new(generations[0].open(), ClientOptions::default());
         settle(&mut carried, &view(seed, 2.0), |_, _| ());
         let mut newest = 0;
@@ -124,8 +129,11 @@ proptest! {
         prop_assert_eq!(shown(terrain, &generations), 2);
         prop_assert!(stats.converged);
         prop_assert!(measure(terrain.tree(), &generations[2], &last, true).largest <= 1.0);
-        let twice = carried.served().parts_sent.values().filter(|&&sent| sent > 1).count();
-        prop_assert_eq!(twice, 0, "parts sent twice");
+        let served = carried.served();
+        let twice = served.parts_sent.values().filter(|&&sent| sent > 1).count();
+        // What comes before it is known which pages are the same is lost by a second change.
+        let most = if times[1] < 6 { 2 * 6 * served.chunks_a_step } else { 0 };
+        prop_assert!(twice <= most, "{twice} parts sent twice");
     }
 
     #[test]
@@ -133,7 +141,7 @@ proptest! {
         seed in 0u32..1000,
         cap_pages in 40usize..120,
     ) {
-        let data = published(seed);
+        let data = published(&[seed]);
         let cap = cap_pages * 14_000;
         let options = ClientOptions { memory_cap_bytes: cap, ..ClientOptions::default() };
         let mut carried = Carried::new(data.open(), options);
@@ -165,7 +173,7 @@ proptest! {
 
 #[test]
 fn a_tolerance_that_was_widened_for_memory_narrows_again_when_there_is_room() {
-    let data = published(7);
+    let data = published(&[7]);
     let options = ClientOptions {
         memory_cap_bytes: 900_000,
         ..ClientOptions::default()
@@ -183,7 +191,7 @@ fn a_tolerance_that_was_widened_for_memory_narrows_again_when_there_is_room() {
 
 #[test]
 fn what_was_shown_stays_while_there_is_no_server_and_nothing_comes_twice() {
-    let data = published(5);
+    let data = published(&[5]);
     let mut carried = Carried::new(data.open(), ClientOptions::default());
     let mut before = 0;
     for frame in 0..900 {
@@ -202,7 +210,7 @@ fn what_was_shown_stays_while_there_is_no_server_and_nothing_comes_twice() {
 
 #[test]
 fn a_cap_on_the_gpu_widens_the_tolerance_and_says_so() {
-    let data = published(5);
+    let data = published(&[5]);
     let settled = |gpu_cap_bytes| {
         let options = ClientOptions {
             gpu_cap_bytes,

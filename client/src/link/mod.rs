@@ -117,7 +117,8 @@ pub struct Link {
     barrier: Barrier,
     /// The manifest has changed, and the barrier will show which pages are the same.
     confirming: bool,
-    /// Whether the server of this session pushes, and whether that is of use.
+    /// Whether the server of this session was asked to push, does, and whether that is of use.
+    push_asked: bool,
     push_agreed: bool,
     push_wanted: bool,
     gate: Gate,
@@ -156,6 +157,7 @@ impl Link {
             claims: Claims::default(),
             barrier: Barrier::None,
             confirming: false,
+            push_asked: false,
             push_agreed: false,
             push_wanted: config.push,
             gate: Gate::default(),
@@ -233,6 +235,7 @@ impl Link {
     pub fn handle_timeout(&mut self, now: Duration) {
         self.misses.expire(now);
         if self.is_open() {
+            self.keep_alive.watch(now);
             self.open_gate(now);
             self.ask_again(now);
         }
@@ -312,8 +315,8 @@ impl Link {
     }
 
     /// Whether pushed pages are of use from now on; not more than
-    /// [`LinkConfig::push`] allows. Without, the server of a session that pushes hears of no more
-    /// views.
+    /// [`LinkConfig::push`] allows. If not, the next server is not asked to, and the one of this
+    /// session, if it was, hears of no more views.
     pub fn set_push(&mut self, wanted: bool) {
         self.push_wanted = wanted && self.config.push;
     }
@@ -433,7 +436,7 @@ impl Link {
 
     /// Whether the newest view is not sent yet.
     pub fn view_pending(&self) -> bool {
-        self.views.pending_at().is_some()
+        self.view_at().is_some()
     }
 
     /// Figures.

@@ -77,7 +77,7 @@ impl Link {
         }
         let manifest = Manifest::from_json(&welcome.manifest).map_err(LinkError::Manifest)?;
         self.limits = welcome.limits;
-        self.push_agreed = self.config.push && welcome.capabilities & capability::PUSH != 0;
+        self.push_agreed = self.push_asked && welcome.capabilities & capability::PUSH != 0;
         self.state = LinkState::Open { since: now };
         self.trouble = None;
         self.stats.sessions += 1;

@@ -71,6 +71,8 @@ pub(super) struct KeepAlive {
     silence: Duration,
     next_ping: Duration,
     unanswered: Option<(u64, Duration)>,
+    /// Since when a Ping has been due that the line does not take.
+    stuck: Option<Duration>,
     heard: Duration,
     count: u64,
     round_trip_ms: Option<f64>,
@@ -83,6 +85,7 @@ impl KeepAlive {
             silence: config.silence_timeout,
             next_ping: Duration::ZERO,
             unanswered: None,
+            stuck: None,
             heard: Duration::ZERO,
             count: 0,
             round_trip_ms: None,
@@ -91,7 +94,7 @@ impl KeepAlive {
 
     /// A session opens; its first Ping is due at once, so that the round trip is known soon.
     pub(super) fn start(&mut self, now: Duration) {
-        self.unanswered = None;
+        (self.unanswered, self.stuck) = (None, None);
         self.heard = now;
         self.next_ping = now;
     }
@@ -122,13 +125,22 @@ impl KeepAlive {
             return None;
         }
         self.count += 1;
+        self.stuck = None;
         self.unanswered = Some((self.count, now));
         self.next_ping = now + self.interval;
         Some(self.count)
     }
 
+    /// Notes whether a Ping is due that has not been sent. A program that was paused has not
+    /// offered one, and its line is not to blame.
+    pub(super) fn watch(&mut self, now: Duration) {
+        if self.unanswered.is_none() && now >= self.next_ping {
+            self.stuck.get_or_insert(now);
+        }
+    }
+
     pub(super) fn dead_at(&self) -> Option<Duration> {
-        let (_, sent) = self.unanswered?;
+        let sent = self.unanswered.map(|(_, sent)| sent).or(self.stuck)?;
         Some(sent.max(self.heard) + self.silence)
     }
 

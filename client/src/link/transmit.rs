@@ -34,6 +34,7 @@ impl Link {
 
     fn next_greeting(&mut self) -> Option<ClientMessage> {
         std::mem::take(&mut self.hello_due).then(|| {
+            self.push_asked = self.push_wanted;
             ClientMessage::Hello(Hello {
                 oldest: PROTOCOL,
                 newest: PROTOCOL,
@@ -91,12 +92,15 @@ impl Link {
     }
 
     fn next_view(&mut self, now: Duration) -> Option<ClientMessage> {
-        let views_per_second = self.limits.views_per_second;
-        // A server would push for it what is of no use.
+        self.view_at().filter(|&at| at <= now)?;
+        self.views.due(now, self.limits.views_per_second)
+    }
+
+    /// When the newest view is due, if it is not sent yet. A server would push for it what may be
+    /// of no use.
+    pub(super) fn view_at(&self) -> Option<Duration> {
         let of_use = self.push_wanted || !self.push_agreed;
-        of_use
-            .then(|| self.views.due(now, views_per_second))
-            .flatten()
+        self.views.pending_at().filter(|_| of_use)
     }
 
     /// Of pages that are about to be wanted, the server is told first what is really here.
@@ -124,7 +128,7 @@ impl Link {
                     .then(|| self.gate.opens_at(self.keep_alive.round_trip()))
                     .flatten();
                 let others = [
-                    self.views.pending_at(),
+                    self.view_at(),
                     self.misses.next_timeout(),
                     self.swallowed_at(),
                     gate,

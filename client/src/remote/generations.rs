@@ -6,14 +6,17 @@ use crate::stages::Stages;
 use crate::terrain::{Seed, Terrain, TerrainStep};
 use escarp_proto::geometry::PageId;
 use escarp_proto::manifest::Manifest;
+use escarp_proto::page::Page;
 use escarp_proto::view::View;
-use std::collections::HashSet;
+use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
 /// The terrain that is shown, and the one that will be.
 #[derive(Debug, Default)]
 pub(super) struct Generations {
     shown: Option<Terrain>,
+    /// What the shown one can still take over, once the pages above come.
+    left: Known,
     next: Option<Next>,
 }
 
@@ -27,10 +30,67 @@ struct Next {
 /// Pages of before that are pages of the new generation, too.
 #[derive(Debug)]
 enum Seeds {
-    /// Nobody knows yet which; they will be this terrain's, or those of the one that is shown.
-    Awaited(Option<Box<Terrain>>),
-    /// They are being taken over, those at the end first.
-    Waiting(Vec<Seed>),
+    /// Nobody knows yet which: of this terrain's, or of the one that is shown, and of those that
+    /// could not be taken over so far.
+    Awaited(Option<Box<Terrain>>, Vec<Seed>),
+    /// They are being taken over.
+    Known(Known),
+}
+
+/// Pages to be taken over: those whose parent is here, and the others by their parents, as these
+/// may be new and still to come.
+#[derive(Debug, Default)]
+struct Known {
+    ready: Vec<Seed>,
+    waiting: HashMap<PageId, Vec<Seed>>,
+}
+
+impl Known {
+    fn new(seeds: Vec<Seed>) -> Known {
+        let mut known = Known::default();
+        for seed in seeds {
+            match seed.id().parent() {
+                None => known.ready.push(seed),
+                Some((parent, _)) => known.waiting.entry(parent).or_default().push(seed),
+            }
+        }
+        known
+    }
+
+    /// A page is here: those below it can be taken over, once it says which there are.
+    fn arrived(&mut self, page: PageId, terrain: &Terrain) {
+        let here = terrain.tree().page(page);
+        if here.is_some_and(Page::has_slots)
+            && let Some(seeds) = self.waiting.remove(&page)
+        {
+            self.ready.extend(seeds);
+        }
+    }
+
+    /// Takes over what it can, as far as there is time. Whether that is all; pages that do not fit
+    /// are noted as dropped.
+    fn hand_over(
+        &mut self,
+        terrain: &mut Terrain,
+        step: &mut TerrainStep,
+        stages: &mut Stages<'_>,
+    ) -> bool {
+        while !self.ready.is_empty() && stages.begin_page() {
+            if let Some(seed) = self.ready.pop() {
+                let id = seed.id();
+                if terrain.take_seed(seed, step) {
+                    self.arrived(id, terrain);
+                }
+            }
+        }
+        self.ready.is_empty()
+    }
+
+    /// What was not taken over.
+    fn left(self) -> Vec<Seed> {
+        let waiting = self.waiting.into_values().flatten();
+        self.ready.into_iter().chain(waiting).collect()
+    }
 }
 
 impl Generations {
@@ -68,29 +128,29 @@ impl Generations {
             self.shown = Some(terrain);
             return Vec::new();
         };
-        let (source, lost) = match self.next.take() {
+        let (source, spare, lost) = match self.next.take() {
             None => {
                 let lost = shown.link_all();
-                (None, lost)
+                (None, std::mem::take(&mut self.left).left(), lost)
             }
             // What came since then may continue pages that are not there yet.
             Some(Next {
                 mut terrain,
-                seeds: Seeds::Awaited(source),
-            }) => (source, terrain.drop_waiting()),
+                seeds: Seeds::Awaited(source, spare),
+            }) => (source, spare, terrain.drop_waiting()),
             Some(Next {
                 mut terrain,
-                seeds: Seeds::Waiting(seeds),
+                seeds: Seeds::Known(mut known),
             }) => {
-                let mut lost = take_all(&mut terrain, seeds);
-                lost.extend(terrain.link_all());
-                (Some(Box::new(terrain)), lost)
+                let (mut step, mut stages) = (TerrainStep::default(), Stages::untimed());
+                link_next(&mut terrain, &mut known, &mut step, &mut stages);
+                (Some(Box::new(terrain)), known.left(), step.gone())
             }
         };
         terrain.follow(source.as_deref().unwrap_or(shown));
         self.next = Some(Next {
             terrain,
-            seeds: Seeds::Awaited(source),
+            seeds: Seeds::Awaited(source, spare),
         });
         lost
     }
@@ -100,17 +160,19 @@ impl Generations {
         let Some(next) = &mut self.next else {
             return Vec::new();
         };
-        let Seeds::Awaited(source) = &next.seeds else {
+        let Seeds::Awaited(source, spare) = &mut next.seeds else {
             return Vec::new();
         };
         let mut same: HashSet<PageId> = same.into_iter().collect();
-        let source = source.as_deref().or(self.shown.as_ref());
-        let seeds =
-            source.map_or_else(Vec::new, |source| source.seeds(|page| same.contains(&page)));
+        let mut seeds = std::mem::take(spare);
+        seeds.retain(|seed| same.contains(&seed.id()));
+        if let Some(source) = source.as_deref().or(self.shown.as_ref()) {
+            seeds.extend(source.seeds(|page| same.contains(&page)));
+        }
         for seed in &seeds {
             same.remove(&seed.id());
         }
-        next.seeds = Seeds::Waiting(seeds);
+        next.seeds = Seeds::Known(Known::new(seeds));
         // There are two of each page now; of the old ones those that are displayed are of use.
         if let Some(shown) = &mut self.shown {
             shown.shrink();
@@ -123,15 +185,14 @@ impl Generations {
     /// Links what has arrived, as far as there is time. Whether none is left.
     pub(super) fn link_arrived(&mut self, step: &mut TerrainStep, stages: &mut Stages<'_>) -> bool {
         let Some(next) = &mut self.next else {
-            let shown = self.shown.as_mut();
-            return shown.is_none_or(|shown| shown.link_arrived(step, stages));
+            let (shown, left) = (self.shown.as_mut(), &mut self.left);
+            return shown.is_none_or(|shown| link_next(shown, left, step, stages));
         };
-        let Seeds::Waiting(seeds) = &mut next.seeds else {
+        match &mut next.seeds {
             // What hangs below those pages has to wait for them.
-            return false;
-        };
-        let is_all = take_ready(&mut next.terrain, seeds, step, stages);
-        is_all && next.terrain.link_arrived(step, stages)
+            Seeds::Awaited(..) => false,
+            Seeds::Known(known) => link_next(&mut next.terrain, known, step, stages),
+        }
     }
 
     /// Brings what is shown up to date for a view, and shows the new generation as soon as it is as
@@ -149,7 +210,12 @@ impl Generations {
         };
         let Some(next) = &mut self.next else {
             shown.set_memory_cap(cap_bytes);
-            return shown.finish(view, step, stages);
+            let mut step = shown.finish(view, step, stages);
+            if step.memory_full {
+                let left = std::mem::take(&mut self.left).left();
+                step.dropped.extend(left.iter().map(Seed::id));
+            }
+            return step;
         };
         // The old one keeps what it shows, and no more where memory is scarce.
         shown.set_memory_cap(cap_bytes.saturating_sub(next.terrain.memory_bytes()));
@@ -157,21 +223,25 @@ impl Generations {
         next.terrain
             .set_memory_cap(cap_bytes.saturating_sub(shown.memory_bytes()));
         let mut step = step;
-        if matches!(next.seeds, Seeds::Awaited(None)) {
+        if matches!(next.seeds, Seeds::Awaited(None, _)) {
             // Nothing that is gone can be taken over.
             step.dropped.extend_from_slice(&old.dropped);
         }
-        let Seeds::Waiting(seeds) = &mut next.seeds else {
+        let is_ready = matches!(&next.seeds, Seeds::Known(known) if known.ready.is_empty());
+        if !is_ready {
             return shown_step(old, step);
-        };
-        let mut new = next.terrain.finish(view, step, stages);
+        }
+        let new = next.terrain.finish(view, step, stages);
         let as_good = new.excess <= old.excess.max(1.0);
         let done = is_all && new.waiting == 0 && next.terrain.wants().is_empty();
-        let can_be_shown = new.triangles > 0 && new.excess.is_finite();
-        if as_good || can_be_shown && (done || new.memory_full) {
-            // Pages that are not above anything in the new mesh found no place until now.
-            new.dropped.extend(seeds.iter().map(Seed::id));
-            self.shown = self.next.take().map(|next| next.terrain);
+        let can_be_shown = next.terrain.tree().page(PageId::ROOT).is_some();
+        if can_be_shown && (as_good || done || new.memory_full) {
+            if let Some(Next { terrain, seeds }) = self.next.take() {
+                self.shown = Some(terrain);
+                if let Seeds::Known(known) = seeds {
+                    self.left = known;
+                }
+            }
             return new;
         }
         shown_step(old, new)
@@ -194,42 +264,20 @@ impl Generations {
     }
 }
 
-/// Takes over those pages whose pages above are here, as far as there is time; the others wait, as
-/// what is above them has changed, and is on its way. Whether no page is left that could be taken.
-fn take_ready(
+/// Takes over pages, and links what has arrived, as far as there is time. Whether none is left.
+fn link_next(
     terrain: &mut Terrain,
-    seeds: &mut Vec<Seed>,
+    known: &mut Known,
     step: &mut TerrainStep,
     stages: &mut Stages<'_>,
 ) -> bool {
-    let mut waiting = Vec::new();
-    while let Some(seed) = seeds.pop() {
-        let id = seed.id();
-        if !terrain.has_place_for(id) {
-            waiting.push(seed);
-        } else if !stages.begin_page() {
-            seeds.push(seed);
-            break;
-        } else if !terrain.take_seed(seed) {
-            step.dropped.push(id);
+    while known.hand_over(terrain, step, stages) {
+        match terrain.link_one(step, stages) {
+            Some(page) => known.arrived(page, terrain),
+            None => return terrain.waiting() == 0,
         }
     }
-    let is_all = seeds.is_empty();
-    // In their order: those above at the end.
-    seeds.extend(waiting.into_iter().rev());
-    is_all
-}
-
-/// Takes over all that is left, as far as it fits; the pages that do not.
-fn take_all(terrain: &mut Terrain, mut seeds: Vec<Seed>) -> Vec<PageId> {
-    let mut lost = Vec::new();
-    while let Some(seed) = seeds.pop() {
-        let id = seed.id();
-        if !terrain.take_seed(seed) {
-            lost.push(id);
-        }
-    }
-    lost
+    false
 }
 
 /// The old generation is shown, the new one lacks pages.

@@ -284,7 +284,8 @@ impl<'a> Client<'a> {
         // With no room at the widest tolerance, or a mesher that has none, nobody can do better.
         let widens = terrain.tree().options().scope().is_some();
         if !terrain.is_full() || widens && self.stats.tolerance_px < SCREEN_ERRORS_PX[1] {
-            check_converged(terrain.tree(), data, &view, &self.stats)?;
+            check_converged(terrain.tree(), data, &view, &self.stats)
+                .map_err(|why| format!("{why}; {}", self.status()))?;
         }
         let lost = self
             .remote

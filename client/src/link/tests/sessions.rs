@@ -175,6 +175,19 @@ fn a_silent_server_is_left_and_a_pause_of_the_program_is_no_silence() {
 }
 
 #[test]
+fn a_line_that_takes_nothing_any_more_is_left_and_a_pause_of_the_program_does_not_count() {
+    let mut link = open_link(config());
+    tell(&mut link, &ServerMessage::Pong(1), ms(10));
+    link.handle_timeout(ms(10));
+    link.handle_timeout(Duration::from_secs(1000));
+    assert!(link.is_open());
+    link.handle_timeout(Duration::from_millis(1_014_999));
+    assert!(link.is_open());
+    link.handle_timeout(Duration::from_secs(1015));
+    assert!(link.trouble().unwrap().contains("silent"));
+}
+
+#[test]
 fn a_server_without_welcome_is_left() {
     let mut world = World::new(config());
     world.server.silent = true;
