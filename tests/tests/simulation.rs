@@ -5,7 +5,7 @@ use escarp_tests::sim::{Campaign, Script};
 use std::env;
 
 /// How many seeds a run of all tests takes. More: `escarp-report simulate`, or `ESCARP_SEEDS`.
-const SEEDS: u64 = 300;
+const SEEDS: u64 = 64;
 
 #[test]
 fn whatever_happens_no_crack_no_wrong_height_the_bound_holds_and_all_converges() {

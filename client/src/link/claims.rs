@@ -16,6 +16,8 @@ enum Claim {
 #[derive(Debug, Default)]
 pub(super) struct Claims {
     queue: VecDeque<Claim>,
+    /// A Have goes first, even if it lists nothing.
+    marker: bool,
     strays: Strays,
 }
 
@@ -24,12 +26,20 @@ impl Claims {
         self.queue.push_back(Claim::Have(have));
     }
 
+    /// Says, before all else, that what follows is of the newest generation.
+    pub(super) fn mark(&mut self) {
+        self.marker = true;
+    }
+
     pub(super) fn evict(&mut self, page: u64) {
         self.queue.push_back(Claim::Evict(page));
     }
 
     /// The next message: of one kind, with at most so many pages.
     pub(super) fn poll(&mut self, most: usize) -> Option<ClientMessage> {
+        if std::mem::take(&mut self.marker) {
+            return Some(ClientMessage::Have(Vec::new()));
+        }
         let is_have = |claim: &Claim| matches!(claim, Claim::Have(_));
         let first = is_have(self.queue.front()?);
         let alike = self.queue.iter().take(most);

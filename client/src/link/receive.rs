@@ -113,6 +113,7 @@ impl Link {
         self.idle_at = None;
         self.start_generation(manifest, |manifest| Event::GenChange { manifest });
         self.claim_all();
+        self.claims.mark();
         Ok(())
     }
 

@@ -128,9 +128,27 @@ pub fn sight(
         _ => Some(follow(&mut Tree::new(pages), &line, Goal::Least)?),
     };
     let bound_m = margin_bound_m(manifest, frame, bulge_m, length_m);
-    Ok(Some(summary(
-        ground, clearance, length_m, bound_m, quantum_m,
-    )))
+    let mut found = summary(ground, clearance, length_m, bound_m, quantum_m);
+    found.bury(ends.above_ground_m);
+    Ok(Some(found))
+}
+
+impl Sight {
+    /// Nothing is seen from below the ground, nor below it, even if no triangle's side is between.
+    fn bury(&mut self, above_ground_m: [f64; 2]) {
+        for (end, height_m) in above_ground_m.into_iter().enumerate() {
+            if height_m >= 0.0 {
+                continue;
+            }
+            self.verdict = Verdict::Hidden;
+            self.visible = Some(false);
+            self.blocked_at.get_or_insert(end as f64);
+            if self.margin_m.is_none_or(|margin_m| height_m < margin_m) {
+                self.margin_m = Some(height_m);
+                self.margin_at = end as f64;
+            }
+        }
+    }
 }
 
 fn summary(

@@ -55,6 +55,8 @@ pub(super) struct Open {
     ahead: Ahead,
     /// Room for pieces.
     most_pieces: usize,
+    /// The dataset has changed; what the client says before its next Have is of before.
+    awaits_have: bool,
     /// The newest view is not selected for yet, or not to its end.
     select_due: bool,
     /// The selection had no room for all needs.
@@ -94,6 +96,7 @@ impl Open {
             pushes: Pushes::default(),
             ahead: Ahead::new(limits.look_ahead),
             most_pieces: limits.pushed_pages,
+            awaits_have: false,
             select_due: false,
             unfinished: false,
             sent_before: 0,
@@ -158,6 +161,7 @@ impl Open {
                 view,
                 scope,
             } => self.view(sequence, view, scope, now)?,
+            ClientMessage::Want(_) if self.awaits_have => {}
             ClientMessage::Want(wants) => wants.iter().for_each(|want| self.want(want)),
             ClientMessage::Cancel(keys) => self.cancel(&keys)?,
             ClientMessage::Credit { total_bytes } => self.credit(total_bytes)?,
@@ -165,6 +169,7 @@ impl Open {
                 for have in &haves {
                     page_of(have.page)?;
                 }
+                self.awaits_have = false;
                 self.haves.push_back(haves);
             }
             ClientMessage::Evict(keys) => {
@@ -191,7 +196,10 @@ impl Open {
                 "View {sequence} does not follow its forerunner"
             )));
         }
-        self.advance(now);
+        match self.awaits_have {
+            true => self.views.forget(),
+            false => self.advance(now),
+        }
         Ok(())
     }
 
@@ -230,6 +238,7 @@ impl Open {
         // Welcome has the newest manifest when it goes.
         if welcomed {
             self.replies.push_back(Reply::GenChange);
+            self.awaits_have = true;
         }
         // Each Have is answered, whatever became of its pages.
         self.queue.clear();

@@ -5,7 +5,7 @@ use escarp_proto::view::FARTHEST_EYE_M;
 use std::collections::BTreeMap;
 use std::str::FromStr;
 
-/// Observers and targets are no higher, metres: beyond, everything is in sight or nothing.
+/// Observers and targets are no higher or lower, metres: beyond, everything is in sight or nothing.
 const MOST_ABOVE_GROUND_M: f64 = 1e7;
 
 /// Bent light, unless told otherwise.
@@ -49,11 +49,11 @@ impl Query {
     /// A height above the ground, metres.
     pub(super) fn above_ground(&self, name: &str, usual: f64) -> Result<f64, HeightError> {
         let height_m = self.number(name)?.unwrap_or(usual);
-        match (0.0..=MOST_ABOVE_GROUND_M).contains(&height_m) {
+        match height_m.abs() <= MOST_ABOVE_GROUND_M {
             true => Ok(height_m),
             false => Err(HeightError::usage(
                 format!("{name}={height_m}"),
-                format!("0 to {MOST_ABOVE_GROUND_M} metres above the ground"),
+                format!("at most {MOST_ABOVE_GROUND_M} metres above or below the ground"),
             )),
         }
     }
