@@ -142,7 +142,7 @@ fn a_server_out_of_open_files_lives_and_takes_clients_again_when_there_are_some(
     // Who was there before is served as ever.
     settle(&mut driver, &far);
     let began = Instant::now();
-    while !server.log().contains("not accepted") {
+    while !server.log().contains("cannot be accepted") {
         assert!(began.elapsed() < PATIENCE, "it says nothing");
         std::thread::sleep(Duration::from_millis(20));
     }
