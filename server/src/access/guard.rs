@@ -3,7 +3,7 @@
 //! answer says who may read it.
 
 use super::{Access, Address, Caller, Denied, Place, Proxies, Rates};
-use crate::catalog::RESERVED;
+use crate::catalog::{RESERVED, percent_decoded};
 use crate::http::Problem;
 use crate::limits::Limits;
 use crate::metrics::{Limited, Metrics};
@@ -213,23 +213,9 @@ pub(crate) async fn guard(
 /// The name of the dataset that an address is about, if it is about one.
 fn dataset_of(path: &str) -> Option<String> {
     let name = path.strip_prefix('/')?.split('/').next()?;
-    let name = percent_decoded(name);
-    (!name.is_empty() && !RESERVED.contains(&name.as_str())).then_some(name)
-}
-
-/// As the router decodes it. What is not UTF-8 is no dataset's name anyway.
-fn percent_decoded(text: &str) -> String {
-    let digit = |byte: Option<&u8>| char::from(*byte?).to_digit(16);
-    let bytes = text.as_bytes();
-    let mut decoded = Vec::with_capacity(bytes.len());
-    let mut at = 0;
-    while let Some(&byte) = bytes.get(at) {
-        let pair = digit(bytes.get(at + 1)).zip(digit(bytes.get(at + 2)));
-        let coded = pair.filter(|_| byte == b'%');
-        decoded.push(coded.map_or(byte, |(high, low)| (high * 16 + low) as u8));
-        at += if coded.is_some() { 3 } else { 1 };
-    }
-    String::from_utf8_lossy(&decoded).into_owned()
+    // What is not UTF-8 is no dataset's name.
+    let name = percent_decoded(name)?;
+    (!name.is_empty() && !RESERVED.contains(&&*name)).then(|| name.into_owned())
 }
 
 /// The answer to a request that does not reach its handler.
