@@ -6,7 +6,7 @@ use clap::Args;
 use indicatif::ProgressBar;
 use std::io::Write;
 
-/// Failures that are shortened and printed.
+/// Failures that are shortened, and printed with their scripts.
 const MOST_SHOWN: usize = 5;
 
 /// Which seeds.
@@ -48,9 +48,16 @@ pub fn simulate(which: &Simulate) -> Result<()> {
     let (tally, mut failures) = campaign.run_seeds(seeds, &|| bar.inc(1));
     bar.finish_and_clear();
     say(&tally.to_string());
-    failures.truncate(MOST_SHOWN);
     for failure in &failures {
-        say(&campaign.shorten(failure.clone()).to_string());
+        let script = &failure.script;
+        say(&format!(
+            "seed {} at {:?}: {}",
+            script.seed, failure.at, failure.what
+        ));
+    }
+    failures.truncate(MOST_SHOWN);
+    for failure in failures {
+        say(&format!("\n{}", campaign.shorten(failure)));
     }
     ensure!(
         tally.runs == which.seeds,
