@@ -229,9 +229,8 @@ impl RemoteTerrain {
                 self.refused = Some(self.link.trouble().map_or(text, str::to_owned));
             }
             Event::GenChange { manifest } => self.start_anew(manifest),
-            Event::Confirmed => {
+            Event::Confirmed { same } => {
                 let cap = self.options.memory_cap_bytes;
-                let same = self.link.held_before();
                 let missing = self.generations.confirm(same, cap);
                 self.link.evict(&missing);
             }

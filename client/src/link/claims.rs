@@ -16,8 +16,8 @@ enum Claim {
 #[derive(Debug, Default)]
 pub(super) struct Claims {
     queue: VecDeque<Claim>,
-    /// A Have goes first, even if it lists nothing.
-    marker: bool,
+    /// So many Haves that list nothing go first.
+    answers: u32,
     strays: Strays,
 }
 
@@ -26,9 +26,10 @@ impl Claims {
         self.queue.push_back(Claim::Have(have));
     }
 
-    /// Says, before all else, that what follows is of the newest generation.
-    pub(super) fn mark(&mut self) {
-        self.marker = true;
+    /// Answers a GenChange, before all else: what follows is of that generation. Each has its own
+    /// answer, as the server counts them.
+    pub(super) fn answer_change(&mut self) {
+        self.answers = self.answers.saturating_add(1);
     }
 
     pub(super) fn evict(&mut self, page: u64) {
@@ -37,7 +38,8 @@ impl Claims {
 
     /// The next message: of one kind, with at most so many pages.
     pub(super) fn poll(&mut self, most: usize) -> Option<ClientMessage> {
-        if std::mem::take(&mut self.marker) {
+        if self.answers > 0 {
+            self.answers -= 1;
             return Some(ClientMessage::Have(Vec::new()));
         }
         let is_have = |claim: &Claim| matches!(claim, Claim::Have(_));
@@ -78,7 +80,15 @@ impl Claims {
         !self.strays.pages.is_empty()
     }
 
-    /// The server has forgotten all.
+    /// The server has forgotten all pages.
+    pub(super) fn forget_pages(&mut self) {
+        *self = Claims {
+            answers: self.answers,
+            ..Claims::default()
+        };
+    }
+
+    /// The session has ended.
     pub(super) fn clear(&mut self) {
         *self = Claims::default();
     }

@@ -1,5 +1,6 @@
 //! What a link tells its caller: events, errors, figures.
 
+use escarp_proto::geometry::PageId;
 use escarp_proto::manifest::Manifest;
 use escarp_proto::wire::{Chunk, ErrorCode, MAX_TEXT, Miss, WireError};
 use std::collections::VecDeque;
@@ -36,9 +37,13 @@ pub enum Event {
         /// What the dataset is now.
         manifest: Arc<Manifest>,
     },
-    /// After a changed manifest: the pages of before that the link still
-    /// [holds](super::Link::holds) are pages of the new generation, unchanged; others are not.
-    Confirmed,
+    /// After a changed manifest: which pages of before are pages of the new generation, unchanged;
+    /// others are not.
+    Confirmed {
+        /// Those that the link [held](super::Link::holds) when it heard that. By now it may be told
+        /// of another generation, which is a later event.
+        same: Vec<PageId>,
+    },
     /// The server ended the session, and said why.
     Refused {
         /// It would do so again, so the link does not connect any more.

@@ -31,7 +31,7 @@ use event::{Events, tame};
 use flights::Flights;
 use gate::Gate;
 use pages::{Held, Misses};
-use session::{Credit, KeepAlive, Views};
+use session::{Credit, KeepAlive, NEEDS_NOTHING, Views};
 use std::collections::HashSet;
 use std::sync::Arc;
 use std::time::Duration;
@@ -194,7 +194,7 @@ impl Link {
 
     /// A server that knows nothing of the pages is told.
     fn claim_all(&mut self) {
-        self.claims.clear();
+        self.claims.forget_pages();
         let haves = self.held.announce_all();
         let due = !haves.is_empty() || self.confirming;
         haves.into_iter().for_each(|have| self.claims.have(have));
@@ -315,8 +315,8 @@ impl Link {
     }
 
     /// Whether pushed pages are of use from now on; not more than
-    /// [`LinkConfig::push`] allows. If not, the next server is not asked to, and the one of this
-    /// session, if it was, hears of no more views.
+    /// [`LinkConfig::push`] allows. If not, the next server is not asked to, and to the one of this
+    /// session, if it was, goes a view that needs nothing in place of the newest.
     pub fn set_push(&mut self, wanted: bool) {
         self.push_wanted = wanted && self.config.push;
     }
@@ -353,6 +353,10 @@ impl Link {
         now: Duration,
     ) -> Result<(), ViewError> {
         view.check()?;
+        let (view, scope) = match self.push_agreed && !self.push_wanted {
+            true => (&NEEDS_NOTHING, Scope::InView),
+            false => (view, scope),
+        };
         if self.views.set(view, scope) {
             self.gate.on_view(now);
         }
@@ -397,11 +401,6 @@ impl Link {
     pub fn reject(&mut self, page: PageId) {
         self.discard(&[page]);
         self.misses.lose(page.key());
-    }
-
-    /// The pages that it [holds](Self::holds) from before the manifest changed the last time.
-    pub fn held_before(&self) -> Vec<PageId> {
-        self.held.of_before()
     }
 
     /// Where the link stands.

@@ -113,7 +113,7 @@ impl Link {
         self.idle_at = None;
         self.start_generation(manifest, |manifest| Event::GenChange { manifest });
         self.claim_all();
-        self.claims.mark();
+        self.claims.answer_change();
         Ok(())
     }
 
@@ -176,7 +176,8 @@ impl Link {
             self.barrier = Barrier::None;
             self.held.confirm();
             if std::mem::take(&mut self.confirming) {
-                self.events.push_latest(Event::Confirmed);
+                let same = self.held.of_before();
+                self.events.push_latest(Event::Confirmed { same });
             }
         }
     }
@@ -216,7 +217,8 @@ impl Link {
     /// credit; chunks of no bytes are bounded in number.
     fn takes_pushed(&self, chunk: &Chunk) -> bool {
         let most = self.config.max_in_flight_pages as u64 + self.config.credit_window_bytes / 32;
-        self.is_pushing()
+        // What was on its way when that ceased to be of use costs nothing more.
+        self.push_agreed
             && (self.events.pages() as u64) < most
             && !self.credit.is_overdrawn()
             && !self.misses.blocks(chunk.page)

@@ -1,9 +1,20 @@
 //! The small state machines of one session: credit, keep-alive, views.
 
 use super::LinkConfig;
-use escarp_proto::view::View;
+use escarp_proto::view::{FARTHEST_EYE_M, View};
 use escarp_proto::wire::{ClientMessage, PAGES_FRAME, Scope};
 use std::time::Duration;
+
+/// A view for which a server has nothing to push: away from all terrain, of one pixel, and with the
+/// widest tolerance.
+pub(super) const NEEDS_NOTHING: View = View {
+    eye_m: [0.0, 0.0, FARTHEST_EYE_M],
+    direction: [0.0, 0.0, 1.0],
+    velocity_m_s: [0.0; 3],
+    fov_y: 0.001,
+    viewport_px: [1, 1],
+    max_screen_error_px: 1024.0,
+};
 
 /// How many page bytes the server may send. Invariants: the grant never falls, and is at most one
 /// window beyond what was received and taken by the caller. So a caller that leaves chunks where

@@ -38,10 +38,9 @@ impl Link {
             ClientMessage::Hello(Hello {
                 oldest: PROTOCOL,
                 newest: PROTOCOL,
-                capabilities: if self.config.push {
-                    capability::PUSH
-                } else {
-                    0
+                capabilities: match self.push_asked {
+                    true => capability::PUSH,
+                    false => 0,
                 },
                 codecs: Codec::KNOWN,
                 dataset: self.config.dataset.clone(),
@@ -96,11 +95,9 @@ impl Link {
         self.views.due(now, self.limits.views_per_second)
     }
 
-    /// When the newest view is due, if it is not sent yet. A server would push for it what may be
-    /// of no use.
+    /// When the newest view is due, if it is not sent yet.
     pub(super) fn view_at(&self) -> Option<Duration> {
-        let of_use = self.push_wanted || !self.push_agreed;
-        self.views.pending_at().filter(|_| of_use)
+        self.views.pending_at()
     }
 
     /// Of pages that are about to be wanted, the server is told first what is really here.

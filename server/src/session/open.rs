@@ -37,8 +37,9 @@ pub(super) struct Open {
     ahead: Ahead,
     /// Room for pieces.
     most_pieces: usize,
-    /// The dataset has changed; what the client says before its next Have is of before.
-    awaits_have: bool,
+    /// GenChanges that wait to be sent, or that the client has not answered: what it says of pages
+    /// until then is of before.
+    changes: u32,
     /// The newest view is not selected for yet, or not to its end.
     select_due: bool,
     /// The selection had no room for all needs.
@@ -78,7 +79,7 @@ impl Open {
             pushes: Pushes::default(),
             ahead: Ahead::new(limits.look_ahead),
             most_pieces: limits.pushed_pages,
-            awaits_have: false,
+            changes: 0,
             select_due: false,
             unfinished: false,
             sent_before: 0,
@@ -145,12 +146,15 @@ impl Open {
             return Ok(());
         }
         let of_both = |reply: &Reply| matches!(reply, Reply::Welcome | Reply::Pong(_));
+        let unsaid = |reply: &Reply| matches!(reply, Reply::GenChange);
         let welcomed = !matches!(self.replies.front(), Some(Reply::Welcome));
+        // One that has not gone yet need not go twice.
+        self.changes -= self.replies.iter().filter(|&reply| unsaid(reply)).count() as u32;
         self.replies.retain(of_both);
         // Welcome has the newest manifest when it goes.
         if welcomed {
             self.replies.push_back(Reply::GenChange);
-            self.awaits_have = true;
+            self.changes += 1;
         }
         // Each Have is answered, whatever became of its pages.
         self.queue.clear();

@@ -21,6 +21,8 @@ pub struct Witness<'a> {
     pub told: Option<&'a TempDataset>,
     /// The view that the last Idle answered, if nothing came since.
     pub idle: Option<u32>,
+    /// GenChanges that the client has not answered: what it says until then is of before.
+    changes: u32,
     /// Parts that the server knows to be with the client.
     held: BTreeSet<(u64, u8)>,
 }
@@ -33,6 +35,7 @@ impl<'a> Witness<'a> {
             remembers_all: limits.held_pages >= ALL_PAGES,
             told: None,
             idle: None,
+            changes: 0,
             held: BTreeSet::new(),
         }
     }
@@ -48,6 +51,7 @@ impl<'a> Witness<'a> {
             ServerMessage::GenChange { manifest, .. } => {
                 self.told = self.generation(&manifest)?;
                 self.held.clear();
+                self.changes += 1;
                 self.idle = None;
             }
             ServerMessage::Pages(chunks) => {
@@ -98,6 +102,10 @@ impl<'a> Witness<'a> {
     pub fn client_says(&mut self, message: &[u8]) -> Result<(), String> {
         let message = ClientMessage::decode(message).map_err(|error| error.to_string())?;
         match message {
+            ClientMessage::Have(haves) if haves.is_empty() => {
+                self.changes = self.changes.saturating_sub(1);
+            }
+            ClientMessage::Have(_) | ClientMessage::Evict(_) if self.changes > 0 => {}
             ClientMessage::Have(haves) => {
                 for have in haves {
                     self.have(have)?;

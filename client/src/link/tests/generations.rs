@@ -17,6 +17,11 @@ fn change(generation: u64) -> Event {
     Event::GenChange { manifest }
 }
 
+fn confirmed(numbers: impl IntoIterator<Item = u32>) -> Event {
+    let same = numbers.into_iter().map(page).collect();
+    Event::Confirmed { same }
+}
+
 /// The number of the Ping behind the Haves.
 fn barrier(said: &[ClientMessage]) -> u64 {
     let ping = said.iter().find_map(|message| match message {
@@ -50,7 +55,7 @@ fn a_new_generation_is_told_all_and_what_it_has_too_is_confirmed() {
     );
     assert_eq!(events(&mut link), []);
     tell(&mut link, &ServerMessage::Pong(number), ms(80));
-    assert_eq!(events(&mut link), [Event::Confirmed]);
+    assert_eq!(events(&mut link), [confirmed([0, 2])]);
     assert_eq!([0, 1, 2].map(|n| link.holds(page(n))), [true, false, true]);
     let newer = Chunk {
         revision: 8,
@@ -90,7 +95,7 @@ fn parts_of_two_generations_are_never_joined() {
         ms(30),
     );
     tell(&mut link, &ServerMessage::Pong(number), ms(30));
-    assert_eq!(events(&mut link), [Event::Confirmed]);
+    assert_eq!(events(&mut link), [confirmed([])]);
     assert!(!link.holds(page(1)));
     link.set_wants(&wants([1]), ms(1000));
     let evict = ClientMessage::Evict(vec![page(1).key()]);
@@ -118,6 +123,50 @@ fn a_caller_that_skips_a_generation_is_not_given_its_pages() {
 }
 
 #[test]
+fn what_is_confirmed_of_a_generation_has_none_of_its_new_pages_though_the_next_is_known() {
+    let mut link = link();
+    tell(&mut link, &gen_change(2), ms(10));
+    assert_eq!(events(&mut link), [change(2)]);
+    let number = barrier(&said(&mut link, ms(20)));
+    let newer = Chunk {
+        revision: 8,
+        ..chunk(1, 0, 5)
+    };
+    // All of this comes before the caller takes the next event.
+    let stale = ServerMessage::Stale(vec![page(1).key()]);
+    tell(&mut link, &stale, ms(30));
+    tell(&mut link, &ServerMessage::Pong(number), ms(30));
+    let pages = ServerMessage::Pages(vec![newer.clone()]);
+    tell(&mut link, &pages, ms(30));
+    tell(&mut link, &gen_change(3), ms(30));
+    let told = [confirmed([0, 2]), Event::Chunk(newer), change(3)];
+    assert_eq!(events(&mut link), told);
+    let number = barrier(&said(&mut link, ms(40)));
+    tell(&mut link, &ServerMessage::Pong(number), ms(50));
+    assert_eq!(events(&mut link), [confirmed([0, 1, 2])]);
+}
+
+#[test]
+fn each_new_generation_is_answered_by_an_empty_list_of_its_own_and_no_new_session_is() {
+    let mut link = link();
+    tell(&mut link, &gen_change(2), ms(10));
+    tell(&mut link, &gen_change(3), ms(10));
+    let empty = |said: &[ClientMessage]| {
+        let none = ClientMessage::Have(Vec::new());
+        said.iter().take_while(|&message| *message == none).count()
+    };
+    let all = said(&mut link, ms(20));
+    assert_eq!(empty(&all), 2, "{all:?}");
+    assert!(matches!(&all[2], ClientMessage::Have(have) if have.len() == 3));
+    tell(&mut link, &gen_change(4), ms(30));
+    link.on_disconnected(ms(30), "cut");
+    assert!(link.poll_connect(ms(1000)));
+    link.on_connected(ms(1000));
+    let all = said(&mut link, ms(1000));
+    assert!(!all.contains(&ClientMessage::Have(Vec::new())), "{all:?}");
+}
+
+#[test]
 fn another_place_on_earth_shares_no_page() {
     let mut link = link();
     let mut elsewhere = manifest(2);
@@ -131,7 +180,7 @@ fn another_place_on_earth_shares_no_page() {
     let all = said(&mut link, ms(60));
     let number = barrier(&all);
     tell(&mut link, &ServerMessage::Pong(number), ms(80));
-    assert_eq!(events(&mut link).last(), Some(&Event::Confirmed));
+    assert_eq!(events(&mut link).last(), Some(&confirmed([])));
 }
 
 #[test]
@@ -157,7 +206,7 @@ fn a_page_found_stale_where_nothing_changed_makes_the_caller_start_anew() {
         matches!(told[1], Event::Welcome { changed: false, .. }),
         "{told:?}"
     );
-    assert_eq!(told[2..], [change(1), Event::Confirmed]);
+    assert_eq!(told[2..], [change(1), confirmed([0, 1])]);
     assert!(link.holds(page(0)) && !link.holds(page(2)));
 }
 

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::link::claims::MAX_STRAYS;
+use crate::link::session::NEEDS_NOTHING;
 use escarp_proto::page::MAX_RECORD_BYTES;
 
 fn link() -> Link {
@@ -224,19 +225,52 @@ fn a_flood_of_pushed_pages_is_bounded_by_the_credit_and_in_number() {
 }
 
 #[test]
-fn pages_of_no_use_to_the_mesh_are_not_pushed() {
+fn a_server_whose_pages_are_of_no_use_any_more_is_shown_a_view_that_needs_nothing() {
     let mut link = link();
-    link.set_push(false);
     link.set_view(&view(0.0), ms(0)).unwrap();
-    assert_eq!(
-        said(&mut link, ms(0)),
-        [],
-        "no view, so that nothing is pushed"
-    );
-    assert_eq!(push(&mut link, vec![chunk(1, 0, 5)], 0), []);
-    link.set_wants(&wants([1]), ms(0));
-    assert_eq!(asked(&mut link, 0), 1);
+    said(&mut link, ms(0));
+    link.set_push(false);
+    let looks = |link: &mut Link, x: f64, now: u64| {
+        link.set_view(&view(x), ms(now)).unwrap();
+        let mut said = said(link, ms(now));
+        said.retain(|message| !matches!(message, ClientMessage::Ping(_)));
+        said
+    };
+    let said = looks(&mut link, 1.0, 100);
+    let [ClientMessage::View { view: told, .. }] = &said[..] else {
+        panic!("{said:?}")
+    };
+    assert_eq!((told, told.check()), (&NEEDS_NOTHING, Ok(())));
+    assert_eq!(looks(&mut link, 2.0, 200), [], "it is said once");
+    // What was on its way is taken, and wishes do not wait for more.
+    let last = chunk(1, 0, 5);
+    let taken = push(&mut link, vec![last.clone()], 200);
+    assert_eq!(taken, [Event::Chunk(last)]);
+    link.set_wants(&wants([2]), ms(200));
+    assert_eq!(asked(&mut link, 200), 1);
     link.set_push(true);
-    let said = said(&mut link, ms(0));
-    assert!(matches!(said[..], [ClientMessage::View { .. }]));
+    let said = looks(&mut link, 3.0, 300);
+    let [ClientMessage::View { view: told, .. }] = &said[..] else {
+        panic!("{said:?}")
+    };
+    assert_eq!(*told, view(3.0));
+}
+
+#[test]
+fn a_server_is_asked_to_push_only_where_that_is_of_use() {
+    for (allowed, of_use) in [(true, true), (true, false), (false, true)] {
+        let mut link = Link::new(LinkConfig {
+            push: allowed,
+            ..LinkConfig::new("moon")
+        });
+        link.set_push(of_use);
+        assert!(link.poll_connect(ms(0)));
+        link.on_connected(ms(0));
+        let said = said(&mut link, ms(0));
+        let [ClientMessage::Hello(hello)] = &said[..] else {
+            panic!("{said:?}")
+        };
+        let asks = hello.capabilities == capability::PUSH;
+        assert_eq!(asks, allowed && of_use);
+    }
 }

@@ -132,7 +132,8 @@ fn pages_held_are_announced_in_the_next_session() {
     (0..20).for_each(|_| world.step());
     assert_eq!(world.server.have.len(), 19);
     assert_eq!(world.link.stats().held_pages, 0);
-    assert_eq!(world.events.last(), Some(&Event::Confirmed));
+    let none = Event::Confirmed { same: Vec::new() };
+    assert_eq!(world.events.last(), Some(&none));
 }
 
 #[test]

@@ -26,7 +26,7 @@ impl Open {
                 view,
                 scope,
             } => self.view(sequence, view, scope, now)?,
-            ClientMessage::Want(_) if self.awaits_have => {}
+            ClientMessage::Want(_) if self.changes > 0 => {}
             ClientMessage::Want(wants) => wants.iter().for_each(|want| self.want(want)),
             ClientMessage::Cancel(keys) => self.cancel(&keys)?,
             ClientMessage::Credit { total_bytes } => self.credit(total_bytes)?,
@@ -34,7 +34,9 @@ impl Open {
                 for have in &haves {
                     page_of(have.page)?;
                 }
-                self.awaits_have = false;
+                if haves.is_empty() {
+                    self.changes = self.changes.saturating_sub(1);
+                }
                 self.haves.push_back(haves);
             }
             ClientMessage::Evict(keys) => {
@@ -61,9 +63,9 @@ impl Open {
                 "View {sequence} does not follow its forerunner"
             )));
         }
-        match self.awaits_have {
-            true => self.views.forget(),
-            false => self.advance(now),
+        match self.changes {
+            0 => self.advance(now),
+            _ => self.views.forget(),
         }
         Ok(())
     }

@@ -34,12 +34,15 @@ impl Open {
         self.poll_pages()
     }
 
-    /// Notes what the client has. Keys of what is not of the current generation.
+    /// Notes what the client has, unless that is of before. Keys of what is not of the current
+    /// generation.
     fn have(&mut self, haves: &[Have]) -> Vec<u64> {
         let mut stale = Vec::new();
         for have in haves {
             let page = PageId::from_key(have.page);
             match page.filter(|&page| self.is_current(page, have.revision)) {
+                // It may have been evicted since, and is said again if not.
+                Some(_) if self.changes > 0 => {}
                 Some(page) => {
                     self.held.insert(page, have.parts);
                 }

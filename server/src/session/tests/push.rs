@@ -267,6 +267,7 @@ fn a_new_generation_is_announced_and_all_that_was_known_is_forgotten() {
         None,
         "nothing of what was wanted, or looked at"
     );
+    answer(&mut peer);
     peer.say(ClientMessage::Have(vec![have(PageId::ROOT, 2)]));
     assert_eq!(peer.hear(), Some(ServerMessage::Stale(Vec::new())));
     peer.look(2, far());
@@ -278,6 +279,59 @@ fn a_new_generation_is_announced_and_all_that_was_known_is_forgotten() {
     assert!(root.is_none_or(|chunk| chunk.first_part == 3));
     peer.session.handle_publication(hosted.published());
     assert_eq!(peer.hear(), None, "it is the same");
+}
+
+/// The client has seen a GenChange.
+fn answer(peer: &mut Peer) {
+    peer.say(ClientMessage::Have(Vec::new()));
+    assert_eq!(peer.hear(), Some(ServerMessage::Stale(Vec::new())));
+}
+
+fn publish(peer: &mut Peer, generation: u64) {
+    let hosted = peer.session.hosted().unwrap().clone();
+    hosted.publish(Arc::new(FakeSource::of_generation(generation)));
+    peer.session.handle_publication(hosted.published());
+}
+
+#[test]
+fn what_was_said_before_a_new_generation_was_heard_of_is_not_taken_for_news_of_it() {
+    let mut peer = Peer::pushed(1 << 30, few());
+    publish(&mut peer, 4);
+    assert!(matches!(peer.hear(), Some(ServerMessage::GenChange { .. })));
+    // Such a list is said at any time, and what it names may be gone by now.
+    let old = ClientMessage::Have(vec![have(PageId::ROOT, 5)]);
+    peer.say(old.clone());
+    assert_eq!(peer.hear(), Some(ServerMessage::Stale(Vec::new())));
+    peer.look(1, far());
+    peer.say(wants_nothing_there());
+    assert_eq!(peer.hear(), None);
+    assert_eq!(peer.session.client_has(PageId::ROOT), None);
+    answer(&mut peer);
+    peer.say(old);
+    assert_eq!(peer.hear(), Some(ServerMessage::Stale(Vec::new())));
+    assert_eq!(peer.session.client_has(PageId::ROOT), Some(5));
+    peer.look(2, far());
+    assert_eq!(peer.harvest().idles, [2]);
+}
+
+#[test]
+fn of_several_new_generations_each_that_was_told_is_answered() {
+    let mut peer = Peer::pushed(1 << 30, few());
+    publish(&mut peer, 4);
+    publish(&mut peer, 5);
+    let told = |peer: &mut Peer| match peer.hear() {
+        Some(ServerMessage::GenChange { generation, .. }) => generation,
+        other => panic!("{other:?}"),
+    };
+    assert_eq!(told(&mut peer), 5, "the one before was never told");
+    publish(&mut peer, 6);
+    assert_eq!(told(&mut peer), 6);
+    answer(&mut peer);
+    peer.look(1, far());
+    assert_eq!(peer.hear(), None, "of generation 5");
+    answer(&mut peer);
+    peer.look(2, far());
+    assert_eq!(peer.harvest().idles, [2]);
 }
 
 fn wants_nothing_there() -> ClientMessage {
