@@ -126,7 +126,7 @@ impl Gauge {
         let value = middle(&self.recent);
         let before = self.last.replace((level, value));
         self.learn(before, (level, value));
-        self.judge(before, (level, value))
+        self.judge(before, (level, value), held)
     }
 
     /// What a coarsening brought tells of the model. What a refinement brings comes with its
@@ -144,7 +144,7 @@ impl Gauge {
         (self.products / self.squares).clamp(EXPONENTS[0], EXPONENTS[1])
     }
 
-    fn judge(&mut self, before: Option<(f64, f64)>, (level, value): (f64, f64)) -> Ask {
+    fn judge(&mut self, before: Option<(f64, f64)>, (level, value): (f64, f64), held: u32) -> Ask {
         let tuning = self.tuning;
         let to_aim = (value / (self.budget * tuning.aim)).ln() / self.exponent();
         if value > self.budget {
@@ -158,7 +158,7 @@ impl Gauge {
             });
             return Ask::Raise(back.unwrap_or(to_aim).clamp(MARGIN, tuning.rise));
         }
-        self.watch_floor(level, value);
+        self.watch_floor(level, value, held);
         if value >= self.budget * tuning.low {
             return Ask::Hold;
         }
@@ -172,17 +172,17 @@ impl Gauge {
     }
 
     /// Forgets the floor once another value at the same level shows that the view is another.
-    fn watch_floor(&mut self, level: f64, value: f64) {
+    fn watch_floor(&mut self, level: f64, value: f64, held: u32) {
         let Some(floor) = &mut self.floor else {
             return;
         };
-        match floor.seen {
-            Some((seen, then)) if seen == level => {
-                if (value / then).ln().abs() > self.tuning.other {
-                    self.floor = None;
-                }
-            }
-            _ => floor.seen = Some((level, value)),
+        let seen = floor.seen.filter(|&(seen, _)| seen == level);
+        let other = self.tuning.other;
+        if seen.is_some_and(|(_, then)| (value / then).ln().abs() > other) {
+            self.floor = None;
+        } else if seen.is_none() && held > 0 {
+            // The first frame still has what the last tolerance left behind.
+            floor.seen = Some((level, value));
         }
     }
 }

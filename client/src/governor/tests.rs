@@ -321,3 +321,30 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn what_a_finer_mesh_leaves_behind_for_a_frame_does_not_make_the_tolerance_swing() {
+    let mut governor = Governor::new(Budgets {
+        max_memory_bytes: Some(130_000),
+        ..Budgets::default()
+    });
+    let (mut before, mut changes) = (0.0, 0);
+    for frame in 0..2000 {
+        let tolerance = governor.tolerance_px(20.0);
+        let is_new = std::mem::replace(&mut before, tolerance) != tolerance;
+        changes += u32::from(is_new && frame > 1000);
+        governor.observe(&Load {
+            triangles: 5,
+            // Coarse pages are few, and the finer ones do not fit.
+            memory_bytes: match (tolerance < 140.0, is_new) {
+                (true, _) => 142_000,
+                (false, true) => 28_900,
+                (false, false) => 27_300,
+            },
+            settled: true,
+            ..Load::default()
+        });
+    }
+    assert_eq!(changes, 0);
+    assert!(governor.is_steady());
+}

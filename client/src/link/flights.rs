@@ -100,6 +100,7 @@ impl Flights {
     }
 
     fn cancel_unwanted(&mut self) {
+        let before = self.cancels.len();
         let (round, cancels) = (self.round, &mut self.cancels);
         self.flights.retain(|&page, flight| {
             let keep = flight.round == round;
@@ -108,6 +109,8 @@ impl Flights {
             }
             keep
         });
+        // In an order, so that runs repeat.
+        cancels[before..].sort_unstable();
     }
 
     fn fill(&mut self, wants: &[Want], places: usize, held: &Held, misses: &Misses) {
@@ -236,10 +239,13 @@ impl Flights {
         again
     }
 
-    /// Pages of which the server is about to be told.
-    pub(super) fn untold(&self) -> impl Iterator<Item = u64> {
+    /// Pages of which the server is about to be told, by key.
+    pub(super) fn untold(&self) -> Vec<u64> {
         let untold = self.flights.iter().filter(|(_, flight)| flight.untold);
-        untold.filter(|_| self.any_untold).map(|(&page, _)| page)
+        let pages = untold.filter(|_| self.any_untold).map(|(&page, _)| page);
+        let mut pages: Vec<u64> = pages.collect();
+        pages.sort_unstable();
+        pages
     }
 
     /// Up to `most` pages to cancel. They go before wants, which may have the same page anew.

@@ -32,7 +32,7 @@ use flights::Flights;
 use gate::Gate;
 use pages::{Held, Misses};
 use session::{Credit, KeepAlive, NEEDS_NOTHING, Views};
-use std::collections::HashSet;
+use std::collections::{BTreeSet, HashSet};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -204,11 +204,12 @@ impl Link {
         };
     }
 
-    /// The server takes other parts of a page to be here than are.
+    /// The server takes other parts of a page to be here than are. One message says what is: after
+    /// the first of two it would push what the second says is here.
     fn claim_anew(&mut self, page: u64) {
-        self.claims.evict(page);
-        if let Some(have) = self.held.announce(page) {
-            self.claims.have(have);
+        match self.held.announce(page) {
+            Some(have) => self.claims.have(have),
+            None => self.claims.evict(page),
         }
     }
 
@@ -366,7 +367,7 @@ impl Link {
     /// The caller dropped these pages: the server is told, and they may be wanted from the first
     /// part again. Chunks of theirs that are not yet taken, or in flight, are dropped.
     pub fn evict(&mut self, pages: &[PageId]) {
-        let keys: HashSet<u64> = pages.iter().map(|page| page.key()).collect();
+        let keys: BTreeSet<u64> = pages.iter().map(|page| page.key()).collect();
         let dropped = self.events.forget_pages(|page| keys.contains(&page));
         self.credit.taken(dropped);
         for page in keys {

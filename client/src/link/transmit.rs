@@ -105,8 +105,7 @@ impl Link {
         if !self.claims.has_strays() {
             return;
         }
-        let pages: Vec<u64> = self.flights.untold().collect();
-        for page in pages {
+        for page in self.flights.untold() {
             if self.claims.take_stray(page) {
                 self.claim_anew(page);
             }

@@ -86,10 +86,12 @@ impl Known {
         self.ready.is_empty()
     }
 
-    /// What was not taken over.
+    /// What was not taken over, by page, so that runs repeat.
     fn left(self) -> Vec<Seed> {
         let waiting = self.waiting.into_values().flatten();
-        self.ready.into_iter().chain(waiting).collect()
+        let mut left: Vec<Seed> = self.ready.into_iter().chain(waiting).collect();
+        left.sort_unstable_by_key(Seed::id);
+        left
     }
 }
 

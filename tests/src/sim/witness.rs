@@ -133,6 +133,7 @@ impl<'a> Witness<'a> {
             .record(page)
             .map_err(|error| error.to_string())?;
         if record.is_some_and(|record| record.revision == have.revision) {
+            self.held.retain(|(page, _)| *page != have.page);
             self.held
                 .extend((0..=have.parts).map(|part| (have.page, part)));
         }

@@ -334,6 +334,16 @@ fn of_several_new_generations_each_that_was_told_is_answered() {
     assert_eq!(peer.harvest().idles, [2]);
 }
 
+#[test]
+fn what_a_client_says_it_has_of_a_page_is_all_that_it_has() {
+    let mut peer = Peer::pushed(1 << 30, few());
+    for parts in [5, 2, 4] {
+        peer.say(ClientMessage::Have(vec![have(PageId::ROOT, parts)]));
+        assert_eq!(peer.hear(), Some(ServerMessage::Stale(Vec::new())));
+        assert_eq!(peer.session.client_has(PageId::ROOT), Some(parts));
+    }
+}
+
 fn wants_nothing_there() -> ClientMessage {
     let nothing = PageId::new(20, 0, 0).unwrap();
     ClientMessage::Want(vec![want(nothing, Class::InView, 1.0)])
