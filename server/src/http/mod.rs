@@ -5,8 +5,10 @@ mod conditions;
 mod cors;
 mod data;
 mod describe;
+mod give;
 mod heights;
 mod index;
+mod kept;
 mod openapi;
 mod overview;
 mod problem;
@@ -24,6 +26,7 @@ use axum::response::{IntoResponse, Json, Response};
 use axum::routing::get;
 use axum::{Router, middleware};
 use describe::{Dataset, Datasets};
+pub(crate) use kept::Kept;
 pub(crate) use problem::Problem;
 pub(crate) use service::Service;
 use std::sync::Arc;
@@ -38,6 +41,7 @@ pub(crate) struct App {
     /// Whether `/metrics` is here, and not on an address of its own.
     pub counted: bool,
     pub limits: Arc<Limits>,
+    pub kept: Arc<Kept>,
 }
 
 impl App {
