@@ -10,7 +10,7 @@ use crate::app::{StepStats, TerrainClient, Waker};
 use crate::governor::{Governor, Load};
 use crate::link::{Event, Link, LinkConfig, LinkState};
 use crate::mesh::{MeshOptions, PageMesh};
-use crate::net::{Carrier, Connection, Url};
+use crate::net::{Carrier, Connection, Url, own_seed};
 use crate::stages::Stages;
 use crate::terrain::{Terrain, TerrainStep};
 use escarp_proto::geometry::PageId;
@@ -81,7 +81,7 @@ impl RemoteTerrain {
         };
         let config = LinkConfig {
             push: options.push,
-            ..LinkConfig::new(url.dataset().unwrap_or(""))
+            ..LinkConfig::new(url.dataset().unwrap_or("")).seeded(own_seed())
         };
         let connection = Connection::with_waker(url, Box::new(wake));
         RemoteTerrain {
