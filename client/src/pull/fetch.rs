@@ -161,9 +161,9 @@ impl Fetcher {
             }
             Event::Refused {
                 fatal: true, text, ..
-            } => Err(PullError::Server {
-                why: self.link.trouble().map_or(text, str::to_owned),
-            }),
+            } => Err(PullError::Refused(
+                self.link.trouble().map_or(text, str::to_owned),
+            )),
             Event::Miss(miss) if miss.reason != MissReason::Busy => {
                 let page = PageId::from_key(miss.page).map_or(String::new(), |p| p.to_string());
                 let why = match miss.reason {
