@@ -232,6 +232,7 @@ impl RemoteTerrain {
             Event::Confirmed => {
                 let cap = self.options.memory_cap_bytes;
                 let same = self.link.held_before();
+                self.keep_on(&same);
                 let missing = self.generations.confirm(same, cap);
                 self.link.evict(&missing);
             }
