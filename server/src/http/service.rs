@@ -5,9 +5,10 @@ use super::{App, data, router};
 use crate::metrics::Counted;
 use axum::Router;
 use axum::body::HttpBody;
-use axum::http::Request;
+use axum::http::{Request, StatusCode, header};
 use axum::response::Response;
-use futures_util::future::Either;
+use futures_util::FutureExt;
+use futures_util::future::{Either, Map};
 use hyper::body::Incoming;
 use hyper_util::service::{TowerToHyperService, TowerToHyperServiceFuture};
 use std::convert::Infallible;
@@ -59,18 +60,33 @@ impl Service {
     }
 }
 
+type Answer = Result<Response, Infallible>;
+type Routed = TowerToHyperServiceFuture<Router, Request<Incoming>>;
+
+/// The router tells HEAD the length of the body, which 304 has not: with it, the length would have
+/// to be that of the content (RFC 9110, section 8.6).
+fn mended(answer: Answer) -> Answer {
+    answer.map(|mut response| {
+        if response.status() == StatusCode::NOT_MODIFIED {
+            response.headers_mut().remove(header::CONTENT_LENGTH);
+        }
+        response
+    })
+}
+
 impl hyper::service::Service<Request<Incoming>> for Service {
     type Response = Response;
     type Error = Infallible;
-    type Future = Either<
-        Ready<Result<Response, Infallible>>,
-        TowerToHyperServiceFuture<Router, Request<Incoming>>,
-    >;
+    type Future = Either<Ready<Answer>, Map<Routed, fn(Answer) -> Answer>>;
 
     fn call(&self, request: Request<Incoming>) -> Self::Future {
         match self.at_once(&request) {
             Some(response) => Either::Left(ready(Ok(response))),
-            None => Either::Right(self.router.call(request)),
+            None => Either::Right(
+                self.router
+                    .call(request)
+                    .map(mended as fn(Answer) -> Answer),
+            ),
         }
     }
 }

@@ -1,5 +1,6 @@
 //! The HTTP addresses.
 
+mod at_once;
 mod data;
 
 use super::*;
