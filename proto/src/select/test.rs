@@ -352,14 +352,18 @@ impl Around {
 
     /// How far the page is, at least.
     fn nearest(&self, sketch: &Sketch) -> f32 {
-        self.flat.max(self.above([sketch.lo[0], sketch.hi[0]]))
+        match sketch.is_empty() {
+            true => self.flat,
+            false => self.flat.max(self.above([sketch.lo[0], sketch.hi[0]])),
+        }
     }
 
-    /// The heights of a page, unless all of it is farther to the side than up or down.
+    /// The heights of a page, unless all of it is farther to the side than up or down, or it has
+    /// none: a client that has not all of it takes heights for heights of the surface.
     fn heights<'a>(&'a self, sketch: &'a Sketch, wider: f32) -> Option<Heights<'a>> {
         let height = |code: u8| self.base + self.step * f32::from(code);
         let farthest = height(sketch.hi[0]).max(-height(sketch.lo[0])) + self.slack;
-        let counts = farthest > self.flat;
+        let counts = farthest > self.flat && !sketch.is_empty();
         let of_page = sketch.has_holes && wider > 0.0;
         counts.then_some(Heights {
             around: self,
