@@ -88,7 +88,7 @@ fn a_limit_on_triangles_is_kept_in_every_frame_and_the_stated_bound_holds() {
     for (name, data) in &kinds() {
         let cells = data.dataset.grid().cells_per_side();
         for (seed, most) in [(0, 4), (100, 60), (200, 700), (300, 5000)] {
-            let mut feed = Feed::with_options(&data.dataset, limited(most)).whole();
+            let mut feed = Feed::with_options(&data.dataset, limited(most));
             for (step, view) in flight(60, seed) {
                 let case = format!("{name}, {most} triangles, step {step}");
                 feed.tree.update(&view);
