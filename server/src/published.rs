@@ -4,6 +4,7 @@
 use crate::sketches::{DEFAULT_SKETCH_BYTES, Sketches};
 use crate::source::PageSource;
 use escarp_proto::select::{Look, Need, Selection};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// Room for selections that waits for the next ones: for as many as are likely to go on at a time.
@@ -11,9 +12,14 @@ const MOST_IDLE: usize = 8;
 /// Needs of one view. Views of large datasets at 1 px have some ten thousand.
 const MOST_NEEDS: usize = 1 << 15;
 
+/// How many there were in this process.
+static COUNT: AtomicU64 = AtomicU64::new(0);
+
 /// One generation of a dataset.
 pub struct Published {
     source: Arc<dyn PageSource>,
+    number: u64,
+    id: String,
     sketches: Sketches,
     idle: Mutex<Vec<Room>>,
 }
@@ -29,6 +35,8 @@ impl Published {
     /// Of these pages.
     pub fn new(source: Arc<dyn PageSource>) -> Published {
         Published {
+            number: COUNT.fetch_add(1, Ordering::Relaxed),
+            id: source.generation_id().to_string(),
             sketches: Sketches::new(source.clone(), DEFAULT_SKETCH_BYTES),
             source,
             idle: Mutex::default(),
@@ -38,6 +46,16 @@ impl Published {
     /// The pages.
     pub fn source(&self) -> &Arc<dyn PageSource> {
         &self.source
+    }
+
+    /// No other one in this process has this number.
+    pub fn number(&self) -> u64 {
+        self.number
+    }
+
+    /// The generation's id as it stands in addresses.
+    pub fn id(&self) -> &str {
+        &self.id
     }
 
     /// Gives what a view needs, coarse pages first, to `take`, and with it, whether that is all.

@@ -394,7 +394,10 @@ impl Around {
 
     /// How far the page is, at least.
     fn nearest(&self, sketch: &Sketch) -> f32 {
-        self.flat.max(self.above([sketch.lo[0], sketch.hi[0]]))
+        match sketch.is_empty() {
+            true => self.flat,
+            false => self.flat.max(self.above([sketch.lo[0], sketch.hi[0]])),
+        }
     }
 
     /// How far any of the page is, at most.
@@ -406,10 +409,11 @@ impl Around {
         flat.max(high).max(0.0)
     }
 
-    /// The heights of a page, unless all of it is farther to the side than up or down.
+    /// The heights of a page, unless all of it is farther to the side than up or down, or it has
+    /// none: a client that has not all of it takes heights for heights of the surface.
     fn heights<'a>(&'a self, sketch: &'a Sketch, wider: f32) -> Option<Heights<'a>> {
         let farthest = self.over(sketch.hi[0]).max(self.under(sketch.lo[0])) + self.slack;
-        let counts = farthest > self.flat;
+        let counts = farthest > self.flat && !sketch.is_empty();
         let of_page = sketch.has_holes && wider > 0.0;
         counts.then_some(Heights {
             around: self,

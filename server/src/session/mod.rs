@@ -197,7 +197,7 @@ impl Session {
             if let State::Open(open) = &mut self.state
                 && let Some(message) = open.poll_reading()
             {
-                return Some(message.encode());
+                return Some(message.into_bytes());
             }
         }
     }
@@ -206,7 +206,7 @@ impl Session {
     pub fn poll_control(&mut self) -> Option<Vec<u8>> {
         match &mut self.state {
             State::Opening => None,
-            State::Open(open) => open.poll_control().map(|message| message.encode()),
+            State::Open(open) => open.poll_control().map(ServerMessage::into_bytes),
             State::Closed { reason, said } => match reason {
                 CloseReason::Server(error) if !std::mem::replace(said, true) => {
                     Some(ServerMessage::Error(error.clone()).encode())

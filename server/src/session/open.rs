@@ -1,7 +1,7 @@
 //! A session after its Hello: views and wishes in, pages out.
 
 use super::ahead::Ahead;
-use super::chunk::{PAGES_OVERHEAD, chunk_of, encoded_len};
+use super::chunk::{PAGES_OVERHEAD, arranged, chunk_of, encoded_len, frame_bytes};
 use super::cover::{self, Cover};
 use super::held::Held;
 use super::push::{Piece, Pushes};
@@ -15,8 +15,8 @@ use escarp_proto::page::MAX_RECORD_BYTES;
 use escarp_proto::select::Look;
 use escarp_proto::view::View;
 use escarp_proto::wire::{
-    Chunk, Class, ClientMessage, ErrorCode, Have, Hello, Miss, MissReason, PAGES_FRAME, PROTOCOL,
-    PeerError, Scope, ServerMessage, SessionLimits, Want, Welcome, capability,
+    Chunk, Class, ClientMessage, ErrorCode, Have, Hello, Miss, MissReason, PROTOCOL, PeerError,
+    Scope, ServerMessage, SessionLimits, Want, Welcome, capability,
 };
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -480,7 +480,7 @@ impl Open {
     /// Fills a frame with the most urgent chunks. The order is strict: a chunk that does not fit
     /// ends the frame, and one that exceeds the credit waits, so that large pages do not starve.
     pub(super) fn poll_pages(&mut self) -> Option<ServerMessage> {
-        let mut room = PAGES_FRAME - PAGES_OVERHEAD;
+        let mut room = frame_bytes(self.sent_bytes) - PAGES_OVERHEAD;
         let mut chunks = Vec::new();
         for _ in 0..LOOKUPS_PER_FRAME {
             let Some(next) = self.next().filter(|_| !self.stalled) else {
@@ -501,9 +501,9 @@ impl Open {
                     self.stalled = true;
                     self.stats.credit_stalls += 1;
                 }
-                Ok(chunk) if encoded_len(&chunk) > room => break,
+                Ok(chunk) if encoded_len(&chunk) > room && !chunks.is_empty() => break,
                 Ok(chunk) => {
-                    room -= encoded_len(&chunk);
+                    room = room.saturating_sub(encoded_len(&chunk));
                     self.remove(next);
                     self.spend(next, wish.page, &chunk);
                     chunks.push(chunk);
@@ -516,7 +516,7 @@ impl Open {
             self.select_due = self.sent_bytes > self.sent_before;
             self.uncovered = true;
         }
-        (!chunks.is_empty()).then_some(ServerMessage::Pages(chunks))
+        (!chunks.is_empty()).then(|| ServerMessage::Pages(arranged(chunks)))
     }
 
     /// What of the next parts the client has not: nothing of a page that could not be remembered,

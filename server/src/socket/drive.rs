@@ -18,10 +18,12 @@ use axum::extract::ws::{CloseFrame, Message, WebSocket, close_code};
 use escarp_proto::wire::{ErrorCode, PeerError};
 use futures_util::StreamExt;
 use futures_util::stream::SplitStream;
+use std::error::Error;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::{Semaphore, watch};
 use tokio::time::{Instant, sleep_until, timeout};
+use tokio_tungstenite::tungstenite;
 
 /// Longest text of a close frame, bytes (RFC 6455, section 5.5, less the code).
 const CLOSE_TEXT: usize = 123;
@@ -281,14 +283,23 @@ impl Driver<'_> {
                     "a text message; all messages are binary",
                 );
             }
-            Some(Ok(Message::Close(_))) | None => {
-                return Err(End::Lost("the client closed the connection".into()));
+            // Whoever says so with a close frame has ended the session, for whatever reason.
+            Some(Ok(Message::Close(frame))) => {
+                return Err(End::Closed(CloseReason::Client(PeerError {
+                    code: ErrorCode::ShuttingDown,
+                    text: frame.map_or_else(String::new, |frame| frame.reason.to_string()),
+                })));
             }
+            None => return Err(End::Lost("the client closed the connection".into())),
             Some(Err(error)) => {
                 // Either the connection is gone, or a frame is broken or far too long; then the
                 // client can still be told.
                 self.reading = false;
-                session.close(ErrorCode::Protocol, &error.to_string());
+                let code = match error.source().and_then(|error| error.downcast_ref()) {
+                    Some(tungstenite::Error::Capacity(_)) => ErrorCode::Limit,
+                    _ => ErrorCode::Protocol,
+                };
+                session.close(code, &error.to_string());
             }
         }
         Ok(())
