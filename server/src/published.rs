@@ -3,9 +3,7 @@
 
 use crate::sketches::{DEFAULT_SKETCH_BYTES, Sketches};
 use crate::source::PageSource;
-use escarp_proto::select::{Need, Selection};
-use escarp_proto::view::View;
-use escarp_proto::wire::Scope;
+use escarp_proto::select::{Look, Need, Selection};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -60,9 +58,9 @@ impl Published {
         &self.id
     }
 
-    /// Gives what a view needs, coarse pages first, to `take`. Reads records, so it may block on
-    /// the disk.
-    pub fn select<T>(&self, view: &View, scope: Scope, take: impl FnOnce(&[Need]) -> T) -> T {
+    /// Gives what a view needs, coarse pages first, to `take`, and with it, whether that is all.
+    /// Reads records, so it may block on the disk.
+    pub fn select<T>(&self, look: Look<'_>, take: impl FnOnce(&[Need], bool) -> T) -> T {
         let idle = || self.idle.lock().unwrap_or_else(PoisonError::into_inner);
         let room = idle().pop();
         let mut room = room.unwrap_or_default();
@@ -70,8 +68,8 @@ impl Published {
         let space = (manifest.grid_levels, &manifest.georef);
         let Room { selection, needs } = &mut room;
         let known = &mut &self.sketches;
-        selection.select(space, view, scope, known, MOST_NEEDS, needs);
-        let taken = take(needs);
+        let outcome = selection.select_for(space, look, known, MOST_NEEDS, needs);
+        let taken = take(needs, !outcome.truncated);
         let mut idle = idle();
         if idle.len() < MOST_IDLE {
             idle.push(room);

@@ -14,6 +14,7 @@
 
 mod ahead;
 mod chunk;
+mod cover;
 mod held;
 mod open;
 mod push;
@@ -213,6 +214,13 @@ impl Session {
                 _ => None,
             },
         }
+    }
+
+    /// Whether [`poll_message`](Self::poll_message) would make a selection, which takes longer than
+    /// anything else: the fewer go on at a time, the sooner each ends, and the less memory they take.
+    /// While it waits for its turn, the session may be told of newer views.
+    pub fn selects(&self) -> bool {
+        matches!(&self.state, State::Open(open) if open.selects())
     }
 
     /// Whether [`poll_message`](Self::poll_message) would read records.

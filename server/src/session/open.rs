@@ -2,6 +2,7 @@
 
 use super::ahead::Ahead;
 use super::chunk::{PAGES_OVERHEAD, arranged, chunk_of, encoded_len, frame_bytes};
+use super::cover::{self, Cover};
 use super::held::Held;
 use super::push::{Piece, Pushes};
 use super::queue::{WantQueue, Wish};
@@ -11,6 +12,7 @@ use crate::limits::{LOOKUPS_PER_FRAME, Limits};
 use crate::published::Published;
 use escarp_proto::geometry::PageId;
 use escarp_proto::page::MAX_RECORD_BYTES;
+use escarp_proto::select::Look;
 use escarp_proto::view::View;
 use escarp_proto::wire::{
     Chunk, Class, ClientMessage, ErrorCode, Have, Hello, Miss, MissReason, PROTOCOL, PeerError,
@@ -59,8 +61,12 @@ pub(super) struct Open {
     awaits_have: bool,
     /// The newest view is not selected for yet, or not to its end.
     select_due: bool,
+    /// The newest view may need more than was selected before.
+    uncovered: bool,
     /// The selection had no room for all needs.
     unfinished: bool,
+    /// The views for which nothing need be selected.
+    cover: Option<Cover>,
     /// Bytes sent before the newest selection.
     sent_before: u64,
     pub(super) views: ViewGate,
@@ -98,7 +104,9 @@ impl Open {
             most_pieces: limits.pushed_pages,
             awaits_have: false,
             select_due: false,
+            uncovered: false,
             unfinished: false,
+            cover: None,
             sent_before: 0,
             views: ViewGate::new(limits.views_per_second),
             held: Held::new(limits.held_pages),
@@ -170,11 +178,15 @@ impl Open {
                     page_of(have.page)?;
                 }
                 self.awaits_have = false;
+                self.cover = None;
                 self.haves.push_back(haves);
             }
             ClientMessage::Evict(keys) => {
                 for key in keys {
                     self.held.evict(page_of(key)?);
+                }
+                if let Some(cover) = &mut self.cover {
+                    cover.evicted(now);
                 }
             }
             ClientMessage::Ping(number) => self.replies.push_back(Reply::Pong(number)),
@@ -208,9 +220,25 @@ impl Open {
         if self.views.advance(now) {
             self.stats.views += 1;
             self.idle_owed = true;
-            self.select_due = self.pushes();
-            self.ahead.turn(now, self.pushes.shows_all());
+            if self.pushes() && !self.is_covered(cover::LEAD_S, now) {
+                self.uncovered = !self.is_covered(0.0, now);
+                if !self.select_due {
+                    self.ahead.turn(now, self.pushes.shows_all());
+                }
+                self.select_due = true;
+            }
         }
+    }
+
+    /// Whether the newest selection holds for the view that is looked at, and goes on doing so for
+    /// so long.
+    fn is_covered(&self, seconds: f64, now: Duration) -> bool {
+        let in_order = !self.pushes.is_done();
+        let (Some(cover), Some((_, view, scope))) = (&self.cover, self.views.current()) else {
+            return false;
+        };
+        let eye_m = view.eye_after(seconds);
+        cover.holds(&View { eye_m, ..view }, scope, in_order, now)
     }
 
     /// The dataset has been published anew: from here on, all is of that.
@@ -245,6 +273,7 @@ impl Open {
         self.pushes.clear();
         self.held.clear();
         self.views.forget();
+        self.cover = None;
         self.select_due = false;
         self.idle_owed = false;
         self.stalled = false;
@@ -315,7 +344,8 @@ impl Open {
 
     /// Whether nothing waits but what lies ahead of the view.
     fn is_done(&self) -> bool {
-        self.queue.is_empty() && self.pushes.is_done() && !self.select_due && self.haves.is_empty()
+        let selected = !(self.select_due && self.uncovered);
+        self.queue.is_empty() && self.pushes.is_done() && selected && self.haves.is_empty()
     }
 
     fn welcome(&self) -> Welcome {
@@ -333,6 +363,11 @@ impl Open {
             generation: source.manifest().generation,
             manifest: source.manifest_json().to_vec(),
         }
+    }
+
+    /// Whether a selection is due.
+    pub(super) fn selects(&self) -> bool {
+        self.select_due
     }
 
     /// Whether there may be records to read: pages to send, or to look up.
@@ -382,6 +417,7 @@ impl Open {
         let Some((_, view, scope)) = self.views.current() else {
             return;
         };
+        let eyes = cover::way(&view, self.pushes.shows_all());
         let Open {
             published,
             pushes,
@@ -389,9 +425,16 @@ impl Open {
             most_pieces,
             ..
         } = self;
-        let replaced = published.select(&view, scope, |needs| {
-            pushes.replace(needs, held, *most_pieces)
+        let look = Look {
+            view: &view,
+            eyes,
+            scope,
+        };
+        let (replaced, lists_all) = published.select(look, |needs, is_all| {
+            (pushes.replace(needs, held, *most_pieces), is_all)
         });
+        let is_all = replaced.is_all && lists_all;
+        self.cover = is_all.then(|| Cover::new(&view, scope, eyes));
         self.stats.cancelled_pieces += replaced.dropped as u64;
         self.stats.selections += 1;
         self.unfinished = !replaced.is_all;
@@ -404,7 +447,12 @@ impl Open {
                 most_pieces,
                 ..
             } = self;
-            published.select(&later, Scope::InView, |needs| {
+            let look = Look {
+                view: &later,
+                eyes: cover::stretch(cover::end(&view), later.eye_m),
+                scope: Scope::InView,
+            };
+            published.select(look, |needs, _| {
                 pushes.replace_ahead(needs, held, *most_pieces);
             });
         }
@@ -466,6 +514,7 @@ impl Open {
         if self.unfinished && self.pushes.is_done() {
             self.unfinished = false;
             self.select_due = self.sent_bytes > self.sent_before;
+            self.uncovered = true;
         }
         (!chunks.is_empty()).then(|| ServerMessage::Pages(arranged(chunks)))
     }

@@ -8,6 +8,7 @@ use super::Phase;
 use super::early::Early;
 use super::outgoing::Outgoing;
 use super::tally::Tally;
+use super::turns::Turns;
 use crate::catalog::Stand;
 use crate::limits::Limits;
 use crate::metrics::Metrics;
@@ -18,8 +19,9 @@ use escarp_proto::wire::{ErrorCode, PeerError};
 use futures_util::StreamExt;
 use futures_util::stream::SplitStream;
 use std::error::Error;
+use std::sync::Arc;
 use std::time::Duration;
-use tokio::sync::watch;
+use tokio::sync::{Semaphore, watch};
 use tokio::time::{Instant, sleep_until, timeout};
 use tokio_tungstenite::tungstenite;
 
@@ -33,6 +35,7 @@ pub(super) async fn drive(
     early: Early,
     limits: &Limits,
     phase: watch::Receiver<Phase>,
+    turns: Arc<Semaphore>,
     metrics: &Metrics,
 ) -> Option<CloseReason> {
     tracing::debug!("opened");
@@ -44,6 +47,7 @@ pub(super) async fn drive(
         outgoing: Outgoing::new(sink),
         incoming,
         reading: true,
+        turns: Turns::new(turns),
         limits,
         phase,
         stand: None,
@@ -84,6 +88,7 @@ struct Driver<'a> {
     incoming: SplitStream<WebSocket>,
     /// Whether the client's side is still open.
     reading: bool,
+    turns: Turns,
     limits: &'a Limits,
     phase: watch::Receiver<Phase>,
     /// Of the dataset that is looked at, once there is one.
@@ -140,7 +145,14 @@ impl Driver<'_> {
         if self.outgoing.since().is_some() {
             return Ok(());
         }
-        let (mut session, message, read) = next_message(self.session.take()).await?;
+        // Whoever waits for a turn still hears, so that it will be for the newest view. Whoever
+        // writes does not wait: others would wait for its client.
+        let selects = self.session().is_some_and(|session| session.selects());
+        let may_read = !selects || self.turns.come();
+        let (mut session, message, read) = next_message(self.session.take(), may_read).await?;
+        if may_read || message.is_some() {
+            self.turns.leave();
+        }
         let reason = session.close_reason().cloned();
         let now = self.now();
         if let Some(took) = self.tally.note(&session.stats(), read, now) {
@@ -166,9 +178,11 @@ impl Driver<'_> {
         let receive =
             self.reading && ready && self.session().is_some_and(|session| session.can_receive());
         let writing = self.outgoing.since().is_some();
+        let waits = self.turns.is_waiting();
         tokio::select! {
             sent = self.outgoing.progress(), if writing => sent.map_err(|error| lost(&error)),
             message = self.incoming.next(), if receive => self.handle(message),
+            () = self.turns.wait(), if waits => Ok(()),
             () = sleep_until(deadline) => self.handle_timeout(),
             changed = self.phase.changed() => {
                 // The sender lives as long as the server: without it, everything stops.
@@ -308,13 +322,14 @@ impl Driver<'_> {
 /// A session, its next message, and how long reading records for it took.
 type Next = (Session, Option<Vec<u8>>, Option<Duration>);
 
-/// The session's next message, read on the blocking pool if records are needed.
-async fn next_message(session: Option<Session>) -> Result<Next, End> {
+/// The session's next message, read on the blocking pool if records are needed, and if that may
+/// be done now.
+async fn next_message(session: Option<Session>, may_read: bool) -> Result<Next, End> {
     let Some(mut session) = session else {
         return Err(End::Lost("a record could not be read".into()));
     };
     let control = session.poll_control();
-    if control.is_some() || !session.has_pages() {
+    if control.is_some() || !may_read || !session.has_pages() {
         return Ok((session, control, None));
     }
     let read = tokio::task::spawn_blocking(move || {
