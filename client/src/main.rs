@@ -1,7 +1,7 @@
 //! `escarp-client`: views terrain that a server hosts.
 
 use clap::Parser;
-use escarp_client::cli::{Cli, run};
+use escarp_client::cli::{Cli, exit_code, run};
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
@@ -9,7 +9,7 @@ fn main() -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("error: {error:#}");
-            ExitCode::FAILURE
+            exit_code(&error)
         }
     }
 }

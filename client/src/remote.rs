@@ -10,7 +10,7 @@ use crate::app::{StepStats, TerrainClient, Waker};
 use crate::governor::{Governor, Load};
 use crate::link::{Event, Link, LinkConfig, LinkState};
 use crate::mesh::{MeshOptions, PageMesh};
-use crate::net::{Carrier, Connection, Url};
+use crate::net::{Carrier, Connection, Url, own_seed};
 use crate::stages::Stages;
 use crate::terrain::{Terrain, TerrainStep};
 use escarp_proto::geometry::PageId;
@@ -51,6 +51,8 @@ pub struct RemoteTerrain {
     last_step: TerrainStep,
     /// What uploading the last mesh took, milliseconds.
     upload_ms: f32,
+    /// What the last frame took beside its step.
+    beside: Duration,
     /// What had to be changed of the last view.
     notes: Vec<String>,
     /// Pages that were refused, and that are lost, since the last session began, and why the
@@ -81,7 +83,7 @@ impl RemoteTerrain {
         };
         let config = LinkConfig {
             push: options.push,
-            ..LinkConfig::new(url.dataset().unwrap_or(""))
+            ..LinkConfig::new(url.dataset().unwrap_or("")).seeded(own_seed())
         };
         let connection = Connection::with_waker(url, Box::new(wake));
         RemoteTerrain {
@@ -112,6 +114,7 @@ impl RemoteTerrain {
             refused: None,
             last_step: TerrainStep::default(),
             upload_ms: 0.0,
+            beside: Duration::ZERO,
             notes: Vec::new(),
             refusals: 0,
             lost: 0,
@@ -231,6 +234,7 @@ impl RemoteTerrain {
             Event::GenChange { manifest } => self.start_anew(manifest),
             Event::Confirmed { same } => {
                 let cap = self.options.memory_cap_bytes;
+                self.keep_on(&same);
                 let missing = self.generations.confirm(same, cap);
                 self.link.evict(&missing);
             }
@@ -265,7 +269,8 @@ impl RemoteTerrain {
         let now = || clock.elapsed();
         // What the mesh took last time it takes about this time, too.
         let mesh = Duration::from_secs_f32(self.last_step.times.mesh_ms().max(0.0) / 1e3);
-        let mut stages = Stages::begin(&now, self.options.frame_budget, mesh);
+        let budget = self.options.frame_budget.time(self.beside);
+        let mut stages = Stages::begin(&now, budget, mesh);
         let mut step = TerrainStep::default();
         loop {
             self.handle_events();
@@ -394,6 +399,11 @@ impl TerrainClient for RemoteTerrain {
 
     fn uploaded(&mut self, upload_ms: f32) {
         self.upload_ms = upload_ms;
+    }
+
+    fn shown(&mut self, beside_ms: f32) {
+        let seconds = f64::from(beside_ms) / 1e3;
+        self.beside = Duration::try_from_secs_f64(seconds).unwrap_or(Duration::ZERO);
     }
 
     fn mesh_options(&self) -> MeshOptions {

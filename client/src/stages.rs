@@ -41,6 +41,36 @@ impl StageTimes {
     }
 }
 
+/// How long a step may take.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub enum Budget {
+    /// As long as it needs.
+    #[default]
+    None,
+    /// So long.
+    Fixed(Duration),
+    /// By what the rest of a frame takes: where pictures take long to draw, a step may take longer,
+    /// too, as few of them would else make pages wait for many frames.
+    ByFrame,
+}
+
+impl Budget {
+    /// What a step gets in any case, by [`Budget::ByFrame`]: half of a frame at 60 a second.
+    pub const LEAST: Duration = Duration::from_millis(8);
+    /// What it gets at most, so that a key that is pressed is answered.
+    pub const MOST: Duration = Duration::from_millis(125);
+
+    /// The time for a step, if the rest of the frame takes so long. Half of that: a frame with a
+    /// step that uses all of it takes at most half as long again as one without.
+    pub fn time(self, beside: Duration) -> Option<Duration> {
+        match self {
+            Budget::None => None,
+            Budget::Fixed(time) => Some(time),
+            Budget::ByFrame => Some((beside / 2).clamp(Budget::LEAST, Budget::MOST)),
+        }
+    }
+}
+
 /// One frame's clock. The time is the caller's: a function that gives it, since any moment.
 pub struct Stages<'a> {
     now: &'a dyn Fn() -> Duration,
@@ -123,6 +153,17 @@ mod tests {
         let link_ms = stages.times().link_ms;
         assert!((link_ms - (stages.pages * page_ms) as f32).abs() < 0.1 + link_ms * 1e-4);
         stages.pages
+    }
+
+    #[test]
+    fn a_budget_by_the_frame_is_half_of_what_the_rest_takes_within_limits() {
+        let ms = Duration::from_millis;
+        let of = |beside| Budget::ByFrame.time(ms(beside));
+        assert_eq!([0, 2, 16].map(of), [Some(Budget::LEAST); 3]);
+        assert_eq!(of(158), Some(ms(79)));
+        assert_eq!([250, 5000].map(of), [Some(Budget::MOST); 2]);
+        assert_eq!(Budget::Fixed(ms(3)).time(ms(158)), Some(ms(3)));
+        assert_eq!(Budget::None.time(ms(158)), None);
     }
 
     #[test]

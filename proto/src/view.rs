@@ -140,6 +140,14 @@ impl View {
         })
     }
 
+    /// Where the eye will be, as fast as it is, metres from the world's origin.
+    pub fn eye_after(&self, seconds: f64) -> [f64; 3] {
+        std::array::from_fn(|axis| {
+            let way_m = f64::from(self.velocity_m_s[axis]) * seconds;
+            (self.eye_m[axis] + way_m).clamp(-FARTHEST_EYE_M, FARTHEST_EYE_M)
+        })
+    }
+
     /// Pixels that one metre covers at one metre's distance.
     pub fn px_per_slope(&self) -> f64 {
         f64::from(self.viewport_px[1]) / (2.0 * (f64::from(self.fov_y) / 2.0).tan())

@@ -5,11 +5,14 @@
 //! claims is held against the limit before memory is taken, nothing recurses, and bytes left over
 //! are an error.
 
+mod lists;
+
 use crate::geometry::PageId;
 use crate::manifest::MAX_MANIFEST_BYTES;
 use crate::page::MAX_RECORD_BYTES;
 use crate::view::View;
 use bincode::{Decode, Encode};
+use lists::{to_differences, to_keys};
 use thiserror::Error;
 
 /// The protocol's version.
@@ -56,7 +59,7 @@ pub mod capability {
     pub const KNOWN: u64 = PUSH;
 }
 
-/// What a client says.
+/// What a client says. As bytes, by [`encode`](Self::encode) and [`decode`](Self::decode) only.
 #[derive(Debug, Clone, PartialEq, Encode, Decode)]
 pub enum ClientMessage {
     /// The first message, once.
@@ -89,7 +92,7 @@ pub enum ClientMessage {
     Error(PeerError),
 }
 
-/// What a server says.
+/// What a server says. As bytes, by [`encode`](Self::encode) and [`decode`](Self::decode) only.
 #[derive(Debug, Clone, PartialEq, Encode, Decode)]
 pub enum ServerMessage {
     /// Answers Hello.
@@ -201,7 +204,7 @@ pub struct Want {
 }
 
 /// A page that the client has.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Encode, Decode)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Have {
     /// [`PageId::key`].
     pub page: u64,
@@ -212,15 +215,15 @@ pub struct Have {
 }
 
 /// Parts of one page.
-#[derive(Debug, Clone, PartialEq, Eq, Encode, Decode)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Chunk {
     /// [`PageId::key`].
     pub page: u64,
     /// Changes when the page's record does; parts of different revisions MUST NOT be joined.
     pub revision: u32,
-    /// First part; 0 is the header.
+    /// First part; 0 is the header. Above 15, which no part is, goes as 15.
     pub first_part: u8,
-    /// Last part.
+    /// Last part, likewise.
     pub last_part: u8,
     /// The parts, one after the other.
     pub bytes: Vec<u8>,
@@ -336,7 +339,14 @@ impl PeerError {
 impl ClientMessage {
     /// The message as bytes.
     pub fn encode(&self) -> Vec<u8> {
-        encode(self)
+        let mut message = self.clone();
+        match &mut message {
+            ClientMessage::Want(list) => to_differences(list),
+            ClientMessage::Have(list) => to_differences(list),
+            ClientMessage::Cancel(list) | ClientMessage::Evict(list) => to_differences(list),
+            _ => {}
+        }
+        encode(&message)
     }
 
     /// Safe on untrusted input.
@@ -344,8 +354,8 @@ impl ClientMessage {
     /// # Errors
     /// [`WireError`] if the bytes are not exactly one message within the limits of this module.
     pub fn decode(bytes: &[u8]) -> Result<Self, WireError> {
-        let message = decode::<Self, MAX_CLIENT_MESSAGE>(bytes)?;
-        match &message {
+        let mut message = decode::<Self, MAX_CLIENT_MESSAGE>(bytes)?;
+        match &mut message {
             ClientMessage::Hello(hello) => {
                 at_most("dataset name", hello.dataset.len(), MAX_TEXT)?;
                 at_most(
@@ -354,10 +364,10 @@ impl ClientMessage {
                     MAX_TEXT,
                 )?;
             }
-            ClientMessage::Want(list) => at_most("Want list", list.len(), MAX_LIST)?,
-            ClientMessage::Have(list) => at_most("Have list", list.len(), MAX_LIST)?,
-            ClientMessage::Cancel(list) => at_most("Cancel list", list.len(), MAX_LIST)?,
-            ClientMessage::Evict(list) => at_most("Evict list", list.len(), MAX_LIST)?,
+            ClientMessage::Want(list) => pages("Want list", list)?,
+            ClientMessage::Have(list) => pages("Have list", list)?,
+            ClientMessage::Cancel(list) => pages("Cancel list", list)?,
+            ClientMessage::Evict(list) => pages("Evict list", list)?,
             ClientMessage::Error(error) => at_most("error text", error.text.len(), MAX_TEXT)?,
             ClientMessage::View { .. } | ClientMessage::Credit { .. } | ClientMessage::Ping(_) => {}
         }
@@ -368,7 +378,17 @@ impl ClientMessage {
 impl ServerMessage {
     /// The message as bytes.
     pub fn encode(&self) -> Vec<u8> {
-        encode(self)
+        self.clone().into_bytes()
+    }
+
+    /// As [`encode`](Self::encode), without a copy of what is in it.
+    pub fn into_bytes(mut self) -> Vec<u8> {
+        match &mut self {
+            ServerMessage::Pages(list) => to_differences(list),
+            ServerMessage::Stale(list) => to_differences(list),
+            _ => {}
+        }
+        encode(&self)
     }
 
     /// Safe on untrusted input.
@@ -376,22 +396,30 @@ impl ServerMessage {
     /// # Errors
     /// [`WireError`] if the bytes are not exactly one message within the limits of this module.
     pub fn decode(bytes: &[u8]) -> Result<Self, WireError> {
-        let message = decode::<Self, MAX_SERVER_MESSAGE>(bytes)?;
-        match &message {
+        let mut message = decode::<Self, MAX_SERVER_MESSAGE>(bytes)?;
+        match &mut message {
             ServerMessage::Welcome(Welcome { manifest, .. })
             | ServerMessage::GenChange { manifest, .. } => {
                 at_most("manifest", manifest.len(), MAX_MANIFEST_BYTES)?;
             }
-            ServerMessage::Stale(list) => at_most("Stale list", list.len(), MAX_LIST)?,
+            ServerMessage::Stale(list) => pages("Stale list", list)?,
             ServerMessage::Pages(chunks) => {
                 let longest = chunks.iter().map(|chunk| chunk.bytes.len()).max();
                 at_most("chunk", longest.unwrap_or(0), MAX_RECORD_BYTES)?;
+                to_keys(chunks);
             }
             ServerMessage::Error(error) => at_most("error text", error.text.len(), MAX_TEXT)?,
             _ => {}
         }
         Ok(message)
     }
+}
+
+/// Takes a list that was decoded for what it stands for, unless it is too long.
+fn pages(field: &'static str, list: &mut [impl lists::Entry]) -> Result<(), WireError> {
+    at_most(field, list.len(), MAX_LIST)?;
+    to_keys(list);
+    Ok(())
 }
 
 fn at_most(field: &'static str, found: usize, allowed: usize) -> Result<(), WireError> {

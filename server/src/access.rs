@@ -7,6 +7,7 @@
 mod address;
 mod caller;
 mod guard;
+mod host;
 mod origin;
 mod rates;
 mod token;
@@ -16,6 +17,7 @@ mod tests;
 
 pub use address::{Address, Proxies, ProxyError};
 pub use caller::Caller;
+pub use host::{HostError, Hosts};
 pub use origin::{OriginError, Origins};
 pub use rates::{Place, Rates};
 pub use token::{Token, TokenError};
@@ -41,6 +43,8 @@ pub struct Access {
     /// The web pages that may use datasets without tokens for which no rule has origins. Datasets
     /// with tokens may then be used by pages of this server alone.
     pub origins: Origins,
+    /// The names by which the server may be addressed.
+    pub hosts: Hosts,
 }
 
 /// Why something was not granted.

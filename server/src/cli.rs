@@ -19,6 +19,7 @@ use escarp_tiles::dataset::{DatasetError, Io};
 use reload::Reload;
 use std::io::Write;
 use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::time::Duration;
@@ -54,8 +55,11 @@ pub struct Cli {
 enum Command {
     /// Ask a running server how it is: exit code 0 if it answers with a status of success
     Health {
-        /// Such as http://127.0.0.1:8787/readyz; plain HTTP
+        /// Such as http://127.0.0.1:8787/readyz, or https://terrain.example/readyz
         url: String,
+        /// Certificates (PEM) to believe in place of the system's
+        #[arg(long, value_name = "FILE")]
+        ca: Option<PathBuf>,
         /// How long to wait, seconds
         #[arg(long, value_name = "SECONDS", default_value_t = 5.0)]
         timeout_s: f64,
@@ -83,7 +87,7 @@ pub fn run() -> ExitCode {
     let matches = Cli::command().get_matches();
     let cli = Cli::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
     let done = match &cli.command {
-        Some(Command::Health { url, timeout_s }) => health(url, *timeout_s),
+        Some(Command::Health { url, ca, timeout_s }) => health(url, ca.as_deref(), *timeout_s),
         None => configured(cli, matches),
     };
     let Err(error) = done else {
@@ -98,9 +102,9 @@ pub fn run() -> ExitCode {
     }
 }
 
-fn health(url: &str, timeout_s: f64) -> Result<()> {
+fn health(url: &str, ca: Option<&Path>, timeout_s: f64) -> Result<()> {
     let within = Duration::try_from_secs_f64(timeout_s);
-    let answer = probe::ask(url, within.context("--timeout-s")?)?;
+    let answer = probe::ask(url, ca, within.context("--timeout-s")?)?;
     println!("{answer}");
     Ok(())
 }
@@ -129,11 +133,6 @@ fn configured(cli: Cli, matches: ArgMatches) -> Result<()> {
         print!("{}", config.print());
         return Ok(());
     }
-    if check_config {
-        tls(&config)?;
-        println!("the settings are right");
-        return Ok(());
-    }
     if config.datasets.value.is_empty() && config.watch.value.is_empty() {
         let what = "no dataset to host: give folders NAME.escarp, --watch DIR, or `datasets` in \
                     the file of settings";
@@ -142,7 +141,22 @@ fn configured(cli: Cli, matches: ArgMatches) -> Result<()> {
             .exit();
     }
     log::start(config.log_format.value);
+    if check_config {
+        return check(&config);
+    }
     host(config, Box::new(read))
+}
+
+/// Opens what the settings name, as a start would, but no address.
+fn check(config: &Config) -> Result<()> {
+    tls(config)?;
+    let catalog = Arc::new(Catalog::default());
+    open_all(catalog.clone(), config)?;
+    println!(
+        "the settings are right; datasets: {}",
+        catalog.names().len()
+    );
+    Ok(())
 }
 
 fn tls(config: &Config) -> Result<Option<Arc<Tls>>, TlsError> {

@@ -6,11 +6,12 @@ mod print;
 #[cfg(test)]
 mod tests;
 
-use crate::access::{Access, Origins, Proxies, Rule};
+use crate::access::{Access, Hosts, Origins, Proxies, Rule};
 use crate::limits::{Entry, Limits};
 use clap::{Args, ValueEnum};
 use std::collections::BTreeMap;
 use std::fmt;
+use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 use thiserror::Error;
@@ -65,6 +66,10 @@ pub struct Flags {
         value_delimiter = ','
     )]
     pub origin: Vec<String>,
+    /// Name by which the server may be addressed, or `*`; may be given again [default: any; on
+    /// loopback and without a trusted proxy, localhost alone]
+    #[arg(long, value_name = "NAME", env = "ESCARP_HOSTS", value_delimiter = ',')]
+    pub host: Vec<String>,
     /// Proxy whose X-Forwarded-For is believed, an address or network; may be given again
     #[arg(
         long,
@@ -153,6 +158,8 @@ pub struct Config {
     pub tls_key: Set<Option<PathBuf>>,
     /// Web pages that may use what needs no token.
     pub origins: Set<Vec<String>>,
+    /// Names by which the server may be addressed; see [`Config::hosts`].
+    pub hosts: Set<Vec<String>>,
     /// Proxies that are believed.
     pub trusted_proxies: Set<Vec<String>>,
     /// Whether limits for one address hold for loopback.
@@ -243,6 +250,7 @@ impl Config {
             tls_cert: path("tls_cert", &flags.tls_cert, file.tls_cert()),
             tls_key: path("tls_key", &flags.tls_key, file.tls_key()),
             origins: list("origin", &flags.origin, file.origins(), &["*"]),
+            hosts: list("host", &flags.host, file.hosts(), &[]),
             trusted_proxies: list(
                 "trusted_proxy",
                 &flags.trusted_proxy,
@@ -333,8 +341,9 @@ impl Config {
     fn check(&self) -> Result<(), ConfigError> {
         Origins::parse(&self.origins.value)
             .map_err(|error| self.origins.wrong("origins", error))?;
-        Proxies::parse(&self.trusted_proxies.value)
-            .map_err(|error| self.trusted_proxies.wrong("trusted_proxies", error))?;
+        self.proxies()?;
+        self.hosts()?;
+        self.check_listen()?;
         let delay = self.drain_delay_s.value;
         if !(0.0..=MAX_DRAIN_DELAY_S).contains(&delay) {
             let what = format!("{delay}; allowed are seconds from 0 to {MAX_DRAIN_DELAY_S}");
@@ -351,6 +360,25 @@ impl Config {
                 .wrong("tls_cert", "without tls_key; give both")),
             (None, Some(_)) => Err(self.tls_key.wrong("tls_key", "without tls_cert; give both")),
             _ => Ok(()),
+        }
+    }
+
+    /// Addresses are only looked at: whether they can be taken shows when they are.
+    fn check_listen(&self) -> Result<(), ConfigError> {
+        let (listen, watchers) = (&self.listen, &self.metrics_listen);
+        if let Err(what) = port(&listen.value) {
+            return Err(listen.wrong("listen", what));
+        }
+        let Some(address) = &watchers.value else {
+            return Ok(());
+        };
+        match port(address) {
+            Err(what) => Err(watchers.wrong("metrics_listen", what)),
+            Ok(port) if port != 0 && *address == listen.value => {
+                let what = format!("{address}, which is that of `listen`, too; give another one");
+                Err(watchers.wrong("metrics_listen", what))
+            }
+            Ok(_) => Ok(()),
         }
     }
 
@@ -371,7 +399,23 @@ impl Config {
         Ok(Access {
             rules: self.rules.iter().map(|rule| rule.value.clone()).collect(),
             origins: origins.map_err(|error| self.origins.wrong("origins", error))?,
+            hosts: self.hosts()?,
         })
+    }
+
+    /// The names by which the server may be addressed. Unless something is said: any; but where
+    /// only this machine can connect, and no proxy speaks for others, what leads to it for sure.
+    ///
+    /// # Errors
+    /// If one is no name.
+    pub fn hosts(&self) -> Result<Hosts, ConfigError> {
+        let named = &self.hosts.value;
+        let alone = is_loopback(&self.listen.value) && self.trusted_proxies.value.is_empty();
+        match (named.is_empty(), alone) {
+            (true, true) => Ok(Hosts::local()),
+            (true, false) => Ok(Hosts::Any),
+            _ => Hosts::parse(named).map_err(|error| self.hosts.wrong("hosts", error)),
+        }
     }
 
     /// The proxies that are believed.
@@ -404,6 +448,23 @@ impl fmt::Display for Source {
             Source::Flag => f.write_str("command line"),
         }
     }
+}
+
+/// The port of an address to listen on, or what is wrong with it.
+fn port(address: &str) -> Result<u16, String> {
+    let found = address.rsplit_once(':');
+    let port = found.and_then(|(host, port)| port.parse().ok().filter(|_| !host.is_empty()));
+    port.ok_or_else(|| {
+        format!("{address:?}; allowed is HOST:PORT, such as 127.0.0.1:8787 or [::]:8787")
+    })
+}
+
+fn is_loopback(address: &str) -> bool {
+    let ip = address.parse().map(|address: SocketAddr| address.ip());
+    ip.map_or_else(
+        |_| address.starts_with("localhost:"),
+        |ip| ip.to_canonical().is_loopback(),
+    )
 }
 
 fn number(text: &str) -> Option<f64> {

@@ -30,6 +30,8 @@ pub struct Limits {
     pub requests_per_second_per_address: u32,
     /// HTTP requests of one address in a moment, beyond those a second.
     pub request_burst_per_address: u32,
+    /// Memory for pages, packs and manifests that were asked for over HTTP, bytes; 0: none is kept.
+    pub kept_bytes: u64,
     /// Pages that a session may want at a time. More are answered by Miss Busy.
     pub wanted_pages: usize,
     /// Views a second that a session looks at. Of more, the newest is kept until its turn.
@@ -70,6 +72,7 @@ impl Default for Limits {
             sessions_per_address: 256,
             requests_per_second_per_address: 1000,
             request_burst_per_address: 4000,
+            kept_bytes: 64 << 20,
             wanted_pages: 2048,
             views_per_second: 20,
             queued_replies: 1024,

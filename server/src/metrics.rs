@@ -113,7 +113,7 @@ metrics! {
     /// TLS handshakes that succeeded.
     tls_handshakes: Counter = Counter::default();
     /// HTTP requests that were answered, by route and status.
-    http_requests: Family<(Route, Status), Counter> = Family::default();
+    http_requests: Requests = Requests::default();
     /// Bytes of bodies of HTTP answers, where their length was known.
     http_response_bytes: Family<Route, Counter> = Family::default();
     /// From an HTTP request's header to that of its answer.
@@ -124,17 +124,37 @@ metrics! {
 pub type ByReason = Family<[(&'static str, &'static str); 1], Counter>;
 /// What is counted for one route, at hand: most answers have status 200.
 #[derive(Debug)]
-struct Counted {
+pub(crate) struct Counted {
     route: Route,
+    requests: Requests,
     ok: Counter,
     bytes: Counter,
     seconds: Histogram,
+}
+
+impl Counted {
+    /// A request was answered; see [`Metrics::request_answered`].
+    pub(crate) fn answered(&self, status: u16, bytes: u64, took: Duration) {
+        match status {
+            200 => _ = self.ok.inc(),
+            _ => _ = requests(&self.requests, &self.route, status).inc(),
+        }
+        self.bytes.inc_by(bytes);
+        self.seconds.observe(took.as_secs_f64());
+    }
+}
+
+fn requests(all: &Requests, route: &Route, status: u16) -> Counter {
+    let labels = (route.clone(), [("status", status)]);
+    all.get_or_create_owned(&labels)
 }
 
 /// The label with a route.
 type Route = [(&'static str, Arc<str>); 1];
 /// The label with a status.
 type Status = [(&'static str, u16); 1];
+/// A counter for each route and status.
+type Requests = Family<(Route, Status), Counter>;
 /// A histogram for each route.
 type Times = Family<Route, Histogram, fn() -> Histogram>;
 
@@ -188,22 +208,12 @@ impl Metrics {
     /// A request was answered: by the route as the router knows it, such as `/{name}/manifest`,
     /// or `None` if no route was found. `bytes` is the body's length, where it is known.
     pub fn request_answered(&self, route: Option<&str>, status: u16, bytes: u64, took: Duration) {
-        let counted = self.counted(route.unwrap_or("none"));
-        match status {
-            200 => _ = counted.ok.inc(),
-            _ => _ = self.requests(&counted.route, status).inc(),
-        }
-        counted.bytes.inc_by(bytes);
-        counted.seconds.observe(took.as_secs_f64());
+        self.counted(route.unwrap_or("none"))
+            .answered(status, bytes, took);
     }
 
-    fn requests(&self, route: &Route, status: u16) -> Counter {
-        let labels = (route.clone(), [("status", status)]);
-        self.http_requests.get_or_create_owned(&labels)
-    }
-
-    /// Routes are few, and come again and again.
-    fn counted(&self, route: &str) -> Arc<Counted> {
+    /// The counters of a route. Routes are few, and come again and again.
+    pub(crate) fn counted(&self, route: &str) -> Arc<Counted> {
         let routes = self.routes.read().unwrap_or_else(PoisonError::into_inner);
         if let Some(known) = routes.get(route) {
             return known.clone();
@@ -211,7 +221,8 @@ impl Metrics {
         drop(routes);
         let label: Route = [("route", route.into())];
         let counted = Arc::new(Counted {
-            ok: self.requests(&label, 200),
+            ok: requests(&self.http_requests, &label, 200),
+            requests: self.http_requests.clone(),
             bytes: self.http_response_bytes.get_or_create_owned(&label),
             seconds: self.http_request_seconds.get_or_create_owned(&label),
             route: label,

@@ -5,7 +5,7 @@ mod connection;
 use crate::access::{Access, Gate, Proxies};
 use crate::catalog::Catalog;
 use crate::health::{self, Health};
-use crate::http::{App, Service};
+use crate::http::{App, Kept, Service};
 use crate::limits::Limits;
 use crate::metrics::{Metrics, Share};
 use crate::socket::{Phase, Sessions};
@@ -120,6 +120,7 @@ impl Serving {
             health: Arc::new(Health::default()),
             counted: self.watchers.is_none(),
             limits: limits.clone(),
+            kept: Arc::new(Kept::new(limits.kept_bytes)),
         };
         let open = |service, places, tls| Connections {
             places: Arc::new(Semaphore::new(places)),

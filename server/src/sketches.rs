@@ -11,6 +11,7 @@ use crate::source::{PageSource, Revised};
 use escarp_proto::geometry::{PAGE_SLOTS, PageId};
 use escarp_proto::page::{Bounds, BoxError, ChildSlot, PAGE_AREA, Page, last_part};
 use escarp_proto::select::{Known, Sketch};
+use foldhash::fast::RandomState;
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -43,8 +44,8 @@ pub struct Sketches {
 
 #[derive(Default)]
 struct Shard {
-    new: HashMap<PageId, Entry>,
-    old: HashMap<PageId, Entry>,
+    new: HashMap<PageId, Entry, RandomState>,
+    old: HashMap<PageId, Entry, RandomState>,
     new_bytes: usize,
     old_bytes: usize,
 }
@@ -84,7 +85,9 @@ impl Sketches {
     /// there is no such page, or its record, or one above it, is damaged or cannot be read. Blocks
     /// on the disk unless it is kept.
     pub fn get(&self, page: PageId) -> Option<Arc<Sketch>> {
-        self.entry(page).sketch
+        let shard = &self.shards[shard_of(page)];
+        let kept = lock(shard).new.get(&page).map(|entry| entry.sketch.clone());
+        kept.unwrap_or_else(|| self.entry(page).sketch)
     }
 
     /// Memory that is taken, bytes.

@@ -84,3 +84,20 @@ impl<'a> Feed<'a> {
         Err(format!("the mesh wishes on without end: {wishes:?}"))
     }
 }
+
+/// A tree with the pages of another, updated for a view from nothing: what the mesh is if it follows
+/// from view and pages alone.
+///
+/// # Panics
+/// If the pages do not fit.
+pub fn anew(tree: &MeshTree, dataset: &Dataset, view: &View, options: MeshOptions) -> MeshTree {
+    let georef = dataset.manifest().georef.clone();
+    let mut anew = MeshTree::with_options(dataset.grid(), georef, options);
+    let mut pages: Vec<_> = tree.pages().cloned().collect();
+    pages.sort_by_key(|page| page.id().key());
+    for page in pages {
+        anew.link(page).expect("a page of such a tree");
+    }
+    anew.update(view);
+    anew
+}

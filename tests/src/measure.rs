@@ -189,6 +189,21 @@ pub fn measure(tree: &MeshTree, data: &TempDataset, view: &View, in_view: bool) 
     found
 }
 
+/// Measures what is in view against the bound that an update stated, if it did.
+///
+/// # Panics
+/// If it is exceeded.
+pub fn check_stated(tree: &MeshTree, data: &TempDataset, view: &View, excess: f64, case: &str) {
+    if excess.is_finite() {
+        let found = measure(tree, data, view, true);
+        assert!(
+            found.largest <= excess.max(1.0) + 1e-9,
+            "{case}: {found:?}, stated {excess}, {:?}",
+            tree.options()
+        );
+    }
+}
+
 /// Measures where a triangle's edges cross those of finest triangles.
 fn measure_crossings(
     triangle: &SurfaceTriangle,

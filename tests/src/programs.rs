@@ -63,7 +63,31 @@ pub fn program(name: &str) -> Command {
     let mut command = Command::new(folder().join(name));
     // Logs below warnings would stand among the results of the tests.
     command.stdin(Stdio::null()).env("RUST_LOG", "warn");
+    command.env("XDG_CACHE_HOME", cache_home());
     command
+}
+
+/// Where the programs of this test keep what they receive: not where the user's own do, and fresh.
+/// What tests that have ended left behind is removed.
+fn cache_home() -> &'static Path {
+    static HOME: OnceLock<PathBuf> = OnceLock::new();
+    HOME.get_or_init(|| {
+        let all = folder().with_file_name("test-caches");
+        let is_over = |path: &Path| {
+            let process = path.file_name().map(|name| Path::new("/proc").join(name));
+            process.is_none_or(|process| !process.exists())
+        };
+        let own = all.join(std::process::id().to_string());
+        let found = std::fs::read_dir(&all).into_iter().flatten().flatten();
+        for path in found.map(|entry| entry.path()) {
+            if path == own || is_over(&path) {
+                // Another test may be removing it, too.
+                let _ = std::fs::remove_dir_all(path);
+            }
+        }
+        std::fs::create_dir_all(&own).expect("a folder in the target folder");
+        own
+    })
 }
 
 /// What a program printed, and how it ended.

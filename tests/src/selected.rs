@@ -3,7 +3,7 @@
 use escarp_client::mesh::MeshTree;
 use escarp_proto::geometry::PageId;
 use escarp_proto::page::{Bounds, BoxError, Page, RecordHeader};
-use escarp_proto::select::{Known, Need, Outcome, Scope, Selection, Sketch};
+use escarp_proto::select::{Eyes, Known, Look, Need, Outcome, Scope, Selection, Sketch};
 use escarp_proto::view::View;
 use escarp_tiles::dataset::Dataset;
 use std::collections::HashMap;
@@ -43,6 +43,14 @@ impl<'a> AllPages<'a> {
             self.pages.insert(id, found);
         }
         self.pages.get(&id)
+    }
+}
+
+impl AllPages<'_> {
+    /// All that is known of the triangles of a page; `None` if it is not there.
+    pub fn bounds(&mut self, id: PageId) -> Option<Bounds> {
+        let (page, promise) = self.page(id)?;
+        Some(Bounds::derive(page, *promise))
     }
 }
 
@@ -93,10 +101,16 @@ pub fn select(
     scope: Scope,
     limit: usize,
 ) -> (Vec<Need>, Outcome) {
+    let eyes = Eyes::at(view.eye_m);
+    select_for(known, Look { view, eyes, scope }, limit)
+}
+
+/// What views need from wherever the eye may be.
+pub fn select_for(known: &mut AllPages<'_>, look: Look<'_>, limit: usize) -> (Vec<Need>, Outcome) {
     let manifest = known.dataset.manifest();
     let at = (manifest.grid_levels, &manifest.georef);
     let mut needs = Vec::new();
-    let outcome = Selection::default().select(at, view, scope, known, limit, &mut needs);
+    let outcome = Selection::default().select_for(at, look, known, limit, &mut needs);
     (needs, outcome)
 }
 

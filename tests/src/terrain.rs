@@ -223,6 +223,22 @@ pub fn build_with(
     build(source, path, vec!["test".into()], options, &|_, _| {})
 }
 
+/// Columns and rows of [`kinds`].
+pub const KINDS_SIZE: (u32, u32) = (230, 190);
+
+/// Small terrains of all kinds, by name.
+pub fn kinds() -> Vec<(&'static str, TempDataset)> {
+    let (w, h) = KINDS_SIZE;
+    vec![
+        ("hills", TempDataset::of(w, h, hills)),
+        ("holed hills", TempDataset::of(w, h, holed_hills)),
+        ("coarse hills", TempDataset::coarse(w, h, hills, 25.0)),
+        ("cliff", TempDataset::of(w, h, cliff)),
+        ("spike", TempDataset::of(w, h, spike)),
+        ("flat", TempDataset::of(w, h, |_, _| 12.0)),
+    ]
+}
+
 /// All samples of a dataset, row by row from the south.
 ///
 /// # Panics

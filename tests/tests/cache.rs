@@ -5,10 +5,13 @@ use escarp_client::app::headless::Driver;
 use escarp_client::cache::CacheOptions;
 use escarp_client::net::Url;
 use escarp_client::remote::RemoteTerrain;
+use escarp_server::PageSource;
 use escarp_tests::drive::{settle, step_until, tree, view_over};
 use escarp_tests::host::{Host, MEMORY};
 use escarp_tests::terrain::TempDataset;
+use escarp_tiles::update::{Edit, update};
 use std::path::Path;
+use std::sync::Arc;
 use std::time::Duration;
 
 fn rough(x: u32, y: u32) -> f64 {
@@ -27,6 +30,19 @@ fn client(url: &Url, folder: &Path, offline: bool) -> Driver {
         terrain.stay_offline();
     }
     Driver::new(terrain)
+}
+
+/// Publishes a generation in which some samples of the middle are holes.
+fn make_hole(data: &TempDataset) {
+    let [x, y, _] = data.dataset.manifest().extent_m();
+    let [west, south] = [x, y].map(|[least, most]| (least + most) / 2.0);
+    let edit = Edit {
+        patches: Vec::new(),
+        remove: vec![[west, south, west + 200.0, south + 150.0]],
+        sources: vec!["a hole".into()],
+    };
+    let report = update(&data.dataset, edit, &|_, _| {}).unwrap();
+    assert!(report.removed > 0, "{report:?}");
 }
 
 #[test]
@@ -62,6 +78,34 @@ fn the_second_run_downloads_next_to_nothing_and_shows_the_same() {
 }
 
 #[test]
+fn what_an_update_left_as_it_was_is_used_in_the_next_run_and_in_all_after_it() {
+    let data = TempDataset::of(700, 700, rough);
+    let folder = tempfile::tempdir().unwrap();
+    let view = view_over(&data, 1.0);
+    let run = |host: &Host| {
+        let url = host.url("land");
+        let mut driver = client(&url, folder.path(), false);
+        let stats = settle(&mut driver, &view);
+        let found = driver.client.link().stats().page_bytes;
+        (stats, found, driver.client.manifest().unwrap().generation)
+    };
+    let host = Host::of("land", data.open());
+    let port = host.address().port();
+    let (_, all, generation) = run(&host);
+    assert_eq!(generation, 1);
+    host.stop();
+    make_hole(&data);
+    let new = || -> Arc<dyn PageSource> { Arc::new(data.newest().dataset) };
+    let host = Host::start_on(port, &[("land", new())]);
+    let (second, changed, generation) = run(&host);
+    assert!(generation == 2 && changed > 0, "{changed} bytes");
+    assert!(changed * 4 < all, "{changed} of {all} bytes");
+    let (third, again, _) = run(&host);
+    assert!(again * 100 < all, "{again} of {all} bytes");
+    assert_eq!(third.triangles, second.triangles);
+}
+
+#[test]
 fn another_dataset_at_the_same_address_is_shown_as_it_is() {
     let folder = tempfile::tempdir().unwrap();
     let old = TempDataset::of(500, 500, rough);
@@ -73,7 +117,7 @@ fn another_dataset_at_the_same_address_is_shown_as_it_is() {
     first.client.close();
     host.stop();
     let new = TempDataset::of(500, 500, |x, y| rough(y, x) + 40.0);
-    let host = Host::start_on(port, &[("land", std::sync::Arc::new(new.open()))]);
+    let host = Host::start_on(port, &[("land", Arc::new(new.open()))]);
     let mut second = client(&url, folder.path(), false);
     let current = new.dataset.manifest().clone();
     step_until(&mut second, &view, "the new manifest", |driver, _| {

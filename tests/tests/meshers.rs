@@ -1,16 +1,12 @@
 //! The meshers that go by distance and by fixed levels: cracks, stated bounds, counts, history.
 
-use escarp_client::mesh::{
-    BLOCK_LEVELS, MeshOptions, MeshTree, MesherKind, SPLIT_RATIOS, UpdateStats,
-};
+use escarp_client::mesh::{BLOCK_LEVELS, MeshOptions, MeshTree, MesherKind, SPLIT_RATIOS};
 use escarp_proto::view::View;
 use escarp_tests::drive::view_to as view;
-use escarp_tests::feed::Feed;
-use escarp_tests::measure::{check_cracks, measure, triangles};
-use escarp_tests::terrain::{TempDataset, cliff, hash, hills, holed_hills, spike};
+use escarp_tests::feed::{Feed, anew};
+use escarp_tests::measure::{check_cracks, check_stated, measure, triangles};
+use escarp_tests::terrain::{KINDS_SIZE, TempDataset, hash, hills, kinds};
 use std::collections::{BTreeSet, HashMap};
-
-const SIZE: (u32, u32) = (230, 190);
 
 /// Straight down, so high that all is in view.
 fn from_above(height_m: f64) -> View {
@@ -48,18 +44,6 @@ fn all_options() -> Vec<MeshOptions> {
     options
 }
 
-fn terrains() -> Vec<(&'static str, TempDataset)> {
-    let (w, h) = SIZE;
-    vec![
-        ("hills", TempDataset::of(w, h, hills)),
-        ("holed hills", TempDataset::of(w, h, holed_hills)),
-        ("coarse hills", TempDataset::coarse(w, h, hills, 25.0)),
-        ("cliff", TempDataset::of(w, h, cliff)),
-        ("spike", TempDataset::of(w, h, spike)),
-        ("flat", TempDataset::of(w, h, |_, _| 12.0)),
-    ]
-}
-
 fn views(error_px: f32) -> Vec<View> {
     let middle = [2100.0, 2900.0, 0.0];
     [
@@ -72,27 +56,15 @@ fn views(error_px: f32) -> Vec<View> {
     .to_vec()
 }
 
-/// Measures what is in view against the bound that was stated.
-fn check_bound(tree: &MeshTree, data: &TempDataset, view: &View, stats: &UpdateStats, name: &str) {
-    if stats.excess.is_finite() {
-        let found = measure(tree, data, view, true);
-        assert!(
-            found.largest <= stats.excess.max(1.0) + 1e-9,
-            "{name} {:?}: {found:?} {stats:?}",
-            tree.options()
-        );
-    }
-}
-
 #[test]
 fn the_stated_bound_holds_at_every_sample_of_a_converged_mesh_of_every_kind() {
-    for (name, data) in &terrains() {
+    for (name, data) in &kinds() {
         for options in all_options() {
             let mut finite = 0;
             for view in [0.5, 4.0].into_iter().flat_map(views) {
                 let mut feed = Feed::with_options(&data.dataset, options);
                 let stats = feed.converge(&view);
-                check_bound(&feed.tree, data, &view, &stats, name);
+                check_stated(&feed.tree, data, &view, stats.excess, name);
                 finite += u32::from(stats.excess.is_finite());
             }
             assert!(finite > 0, "{name} {options:?}: no bound was ever stated");
@@ -119,7 +91,7 @@ fn the_stated_bound_is_the_largest_of_a_triangle_and_no_looser_than_it_must_be()
 
 #[test]
 fn while_pages_are_missing_there_is_no_crack_and_the_stated_bound_holds() {
-    for (name, data) in &terrains() {
+    for (name, data) in &kinds() {
         let cells = data.dataset.grid().cells_per_side();
         for (i, options) in all_options().into_iter().enumerate() {
             // Each kind from some eye, and from every eye some kind.
@@ -130,7 +102,7 @@ fn while_pages_are_missing_there_is_no_crack_and_the_stated_bound_holds() {
                     let wishes = feed.tree.wishes();
                     check_cracks(&feed.tree, cells).unwrap_or_else(|why| panic!("{name}: {why}"));
                     if step % 20 == 7 {
-                        check_bound(&feed.tree, data, &view, &stats, name);
+                        check_stated(&feed.tree, data, &view, stats.excess, name);
                     }
                     // A few at a time, in no order.
                     for n in 0..1 + wishes.len() / 6 {
@@ -176,20 +148,12 @@ fn wander(feed: &mut Feed<'_>, name: &str, cells: u32, steps: u32, seed: u32) ->
 
 #[test]
 fn flags_and_counts_follow_from_view_and_pages_alone_after_any_flight() {
-    for (name, data) in &terrains() {
-        let manifest = data.dataset.manifest();
-        let cells = manifest.grid_levels.cells_per_side();
+    for (name, data) in &kinds() {
+        let cells = data.dataset.grid().cells_per_side();
         for (seed, options) in all_options().into_iter().enumerate() {
             let mut feed = Feed::with_options(&data.dataset, options);
             let last = wander(&mut feed, name, cells, 25, seed as u32 * 100);
-            let georef = manifest.georef.clone();
-            let mut anew = MeshTree::with_options(manifest.grid_levels, georef, options);
-            let mut pages: Vec<_> = feed.tree.pages().cloned().collect();
-            pages.sort_by_key(|page| page.id().key());
-            for page in pages {
-                anew.link(page).unwrap();
-            }
-            anew.update(&last);
+            let anew = anew(&feed.tree, &data.dataset, &last, options);
             assert_eq!(feed.tree.flags(), anew.flags(), "{name}, {options:?}");
         }
     }
@@ -197,7 +161,7 @@ fn flags_and_counts_follow_from_view_and_pages_alone_after_any_flight() {
 
 #[test]
 fn after_looking_away_all_pages_but_the_first_can_be_evicted() {
-    let data = TempDataset::of(SIZE.0, SIZE.1, hills);
+    let data = TempDataset::of(KINDS_SIZE.0, KINDS_SIZE.1, hills);
     for options in all_options() {
         let mut feed = Feed::with_options(&data.dataset, options);
         feed.converge(&view([1900.0, 2700.0, 400.0], [2100.0, 2900.0, 0.0], 1.0));
@@ -282,7 +246,7 @@ fn a_border_between_any_two_levels_is_closed() {
 
 #[test]
 fn a_finer_tolerance_or_a_larger_ratio_makes_more_triangles_up_to_a_stated_limit() {
-    let data = TempDataset::of(SIZE.0, SIZE.1, hills);
+    let data = TempDataset::of(KINDS_SIZE.0, KINDS_SIZE.1, hills);
     let eye = [1003.0, 2001.0, 400.0];
     let count = |options, error_px| {
         let mut feed = Feed::with_options(&data.dataset, options);

@@ -4,6 +4,7 @@ use escarp_client::app::TerrainClient;
 use escarp_client::app::headless::Driver;
 use escarp_client::mesh::{MeshOptions, MeshTree, MesherKind};
 use escarp_client::remote::{ClientOptions, RemoteTerrain};
+use escarp_client::stages::Budget;
 use escarp_proto::view::View;
 use escarp_server::PageSource;
 use escarp_tests::drive::{same_pages, settle, step_until, tree, view_over};
@@ -134,7 +135,7 @@ fn with_no_time_for_more_than_a_page_a_frame_the_mesh_ends_the_same_without_a_cr
     let mut driver = client_with(
         &host,
         ClientOptions {
-            frame_budget: Some(Duration::ZERO),
+            frame_budget: Budget::Fixed(Duration::ZERO),
             ..ClientOptions::default()
         },
     );

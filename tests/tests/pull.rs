@@ -8,6 +8,7 @@ use escarp_proto::wire::{Chunk, ServerMessage};
 use escarp_tests::drive::{settle, view_to};
 use escarp_tests::host::Host;
 use escarp_tests::liar::Liar;
+use escarp_tests::programs::run;
 use escarp_tests::terrain::TempDataset;
 use escarp_tiles::dataset::{Dataset, PageReader};
 use escarp_tiles::verify::{Share, verify};
@@ -235,6 +236,46 @@ fn what_is_in_the_way_is_named_and_left_alone() {
     degrees.bounds.as_mut().unwrap().is_lonlat = true;
     assert!(refusal(&degrees).contains("EPSG:32632"));
     assert!(!target.exists());
+}
+
+#[test]
+fn wrong_usage_exits_with_2_and_what_is_refused_for_good_is_not_tried_again() {
+    let desk = Desk::new();
+    let (url, output) = (desk.host.url("land").to_string(), desk.path("part.escarp"));
+    let output = output.to_str().unwrap();
+    let pull = |arguments: &[&str]| {
+        let all = [&["pull"], arguments, &["-o", output]].concat();
+        run("escarp-client", &all)
+    };
+    let wrong: [(&[&str], &str); 5] = [
+        (&[&url, "--error=-1"], "0 and more"),
+        (&[&url, "--error=1", "--bounds=5,5,1,1"], "no rectangle"),
+        (
+            &[&url, "--error=1", "--bounds=1e6,1e6,2e6,2e6"],
+            "beside the data",
+        ),
+        (
+            &[&url, "--error=1", "--bounds=9,50,10,51", "--lonlat"],
+            "gdaltransform -s_srs EPSG:4326 -t_srs 'EPSG:32632'",
+        ),
+        (&[&url], "--error"),
+    ];
+    for (arguments, words) in wrong {
+        let ran = pull(arguments);
+        assert!(ran.err.contains(words), "{arguments:?}: {ran:?}");
+        assert_eq!(ran.code, Some(2), "{arguments:?}: {ran:?}");
+        assert!(!ran.err.contains("again"), "{arguments:?}: {ran:?}");
+    }
+    // One that tried on would not end before it is killed.
+    let ran = pull(&[
+        &desk.host.url("sea").to_string(),
+        "--error=1",
+        "--wait=86400",
+    ]);
+    assert!(ran.err.contains("the server refuses"), "{ran:?}");
+    assert!(ran.err.contains("land"), "it says what there is: {ran:?}");
+    assert!(!ran.err.contains("again"), "{ran:?}");
+    assert_eq!(ran.code, Some(1), "{ran:?}");
 }
 
 #[test]

@@ -3,13 +3,13 @@
 use escarp_client::mesh::MeshTree;
 use escarp_proto::geometry::PageId;
 use escarp_proto::page::{Bounds, BoxError};
-use escarp_proto::select::{Known, Need, Scope, Selection, Sketch};
+use escarp_proto::select::{Eyes, Known, Look, Need, Scope, Selection, Sketch};
 use escarp_proto::view::View;
 use escarp_proto::wire::Class;
 use escarp_tests::drive::{view_over, view_to};
 use escarp_tests::feed::Feed;
 use escarp_tests::report::leave_out::used_bytes;
-use escarp_tests::selected::{AllPages, part_bytes, select, tree_of};
+use escarp_tests::selected::{AllPages, part_bytes, select, select_for, tree_of};
 use escarp_tests::terrain::{TempDataset, cliff, hash, hills, holed_hills, spike};
 use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
@@ -89,6 +89,70 @@ fn what_is_listed_for_a_picture_leaves_no_wish_in_it() {
             assert!(ring, "{name}: {wishes:?} {view:?}");
             let parts: HashMap<PageId, u8> = all.iter().map(|n| (n.page, n.last_part)).collect();
             assert!(needs.iter().all(|need| need.last_part <= parts[&need.page]));
+        }
+    }
+}
+
+/// A way of an eye through a terrain, as long as it is from a bit to all of it, and places on it
+/// and beside it.
+fn flight(data: &TempDataset, view: &View, seed: u32) -> (Eyes, Vec<View>) {
+    let extent = data.dataset.manifest().extent_m();
+    let side_m = extent[0][1] - extent[0][0];
+    let random = |i: u32, what: u32| f64::from(hash(seed ^ i << 8, what) % 10_001) / 10_000.0;
+    let long_m = side_m * [0.003, 0.03, 0.3][seed as usize % 3];
+    let end_m = std::array::from_fn(|i| view.eye_m[i] + long_m * (random(0, i as u32) - 0.5));
+    let beside_m = 0.25 * long_m * random(0, 3);
+    let eyes = Eyes::between(view.eye_m, end_m, beside_m);
+    let place = |i: u32| {
+        let eye_m: [f64; 3] = std::array::from_fn(|axis| {
+            let (a, b) = (view.eye_m[axis], end_m[axis]);
+            let (low, high) = (a.min(b) - beside_m, a.max(b) + beside_m);
+            // Often at a corner, where what is selected has no room to spare.
+            let share = (random(i, axis as u32) * 1.6 - 0.3).clamp(0.0, 1.0);
+            low + share * (high - low)
+        });
+        View { eye_m, ..*view }
+    };
+    let places = (1..7).map(place).filter(|view| eyes.hold(view.eye_m));
+    (eyes, places.chain([*view]).collect())
+}
+
+#[test]
+fn what_is_listed_for_a_way_is_enough_wherever_on_it_the_eye_is() {
+    for (name, data) in terrains() {
+        let mut known = AllPages::new(&data.dataset);
+        for (i, view) in views(&data, 15, 7).into_iter().enumerate() {
+            let (eyes, places) = flight(&data, &view, i as u32);
+            assert!(places.len() >= 5, "few are beyond the box by rounding");
+            for scope in [Scope::All, Scope::InView] {
+                let view = &view;
+                let (needs, outcome) = select_for(&mut known, Look { view, eyes, scope }, NO_LIMIT);
+                assert!(!outcome.truncated && outcome.excess <= 1.0);
+                let mut tree = tree_of(&data.dataset, &needs);
+                for place in &places {
+                    let stats = tree.update(place);
+                    assert!(stats.excess <= 1.0, "{name}: {stats:?} {place:?}");
+                    let wishes = tree.wishes();
+                    let left = |class| scope == Scope::InView && class == Class::Ring;
+                    let none = wishes.iter().all(|wish| left(wish.class));
+                    assert!(none, "{name}: {wishes:?} {place:?}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn what_is_listed_for_one_place_is_what_is_listed_for_a_way_of_no_length() {
+    let data = TempDataset::of(300, 280, hills);
+    let mut known = AllPages::new(&data.dataset);
+    for view in views(&data, 12, 8) {
+        for scope in [Scope::All, Scope::InView] {
+            let (point, _) = select(&mut known, &view, scope, NO_LIMIT);
+            let eyes = Eyes::between(view.eye_m, view.eye_m, 0.0);
+            let view = &view;
+            let (way, _) = select_for(&mut known, Look { view, eyes, scope }, NO_LIMIT);
+            assert_eq!(point, way);
         }
     }
 }

@@ -41,6 +41,10 @@ pub trait TerrainClient {
     /// Takes note of what uploading the mesh took, milliseconds.
     fn uploaded(&mut self, _upload_ms: f32) {}
 
+    /// Takes note of what a frame took beside the step, milliseconds: uploading, drawing, and
+    /// waiting for the screen.
+    fn shown(&mut self, _beside_ms: f32) {}
+
     /// How it meshes.
     fn mesh_options(&self) -> MeshOptions {
         MeshOptions::default()

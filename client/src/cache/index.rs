@@ -57,6 +57,12 @@ impl Index {
         let head = piece.head;
         let has_room = self.pages.len() < MAX_PAGES || self.pages.contains_key(&head.page);
         match self.pages.get_mut(&head.page) {
+            Some(entry) if head.confirms() => {
+                if entry.revision == head.revision {
+                    entry.tag = head.tag;
+                }
+            }
+            None if head.confirms() => {}
             Some(entry) if head.first_part > 0 => {
                 let joins = entry.revision == head.revision
                     && entry.last_part().checked_add(1) == Some(head.first_part);
@@ -94,6 +100,12 @@ impl Index {
                 entry.revision == head.revision && entry.last_part().checked_add(1) == Some(first)
             }
         }
+    }
+
+    /// Whether a confirmation says something new.
+    pub(super) fn confirms(&self, head: &Head) -> bool {
+        let entry = self.pages.get(&head.page);
+        entry.is_some_and(|entry| entry.revision == head.revision && entry.tag != head.tag)
     }
 
     pub(super) fn get(&self, page: u64) -> Option<&Entry> {

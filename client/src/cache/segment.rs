@@ -9,6 +9,8 @@
 //!
 //! A record: page's key (8), revision (4), first and last part (1 each), length (2), the tag of the
 //! manifest that it came with (8), CRC-32C of these (4); the parts; CRC-32C of all before (4).
+//! Part 0 of a page is never empty, so a record of it without bytes says something else: the page
+//! as it is kept, if it has that revision, belongs to the manifest of that tag as well.
 
 use escarp_dataset::checksum::crc32c;
 use escarp_proto::page::MAX_RECORD_BYTES;
@@ -42,6 +44,11 @@ pub(super) fn segment_head(address: &str) -> Vec<u8> {
 }
 
 impl Head {
+    /// Whether it says of a page that is kept that it belongs to another manifest, too.
+    pub(super) const fn confirms(&self) -> bool {
+        self.length == 0 && self.first_part == 0
+    }
+
     fn encode(&self) -> [u8; RECORD_HEAD] {
         let mut bytes = [0; RECORD_HEAD];
         bytes[..8].copy_from_slice(&self.page.to_le_bytes());

@@ -167,7 +167,8 @@ impl Store {
         let Ok(length) = u16::try_from(chunk.bytes.len()) else {
             return;
         };
-        if self.is_closed || usize::from(length) > MAX_RECORD_BYTES {
+        let is_nothing = chunk.first_part == 0 && length == 0;
+        if self.is_closed || is_nothing || usize::from(length) > MAX_RECORD_BYTES {
             return;
         }
         let head = {
@@ -189,6 +190,30 @@ impl Store {
             Ok(Some(piece)) => self.index().add(piece),
             Ok(None) => {}
             Err(error) => self.close(&error),
+        }
+    }
+
+    /// These pages, if they are kept in these revisions, belong to the manifest of this session,
+    /// whichever they came with: says so by a record without parts for each.
+    pub fn confirm(&mut self, same: &[Have]) {
+        for have in same {
+            let tag = self.index().tag();
+            let head = Head {
+                page: have.page,
+                revision: have.revision,
+                first_part: 0,
+                last_part: 0,
+                length: 0,
+                tag,
+            };
+            if self.is_closed || !self.index().confirms(&head) {
+                continue;
+            }
+            match self.append(&head, &[]) {
+                Ok(Some(piece)) => self.index().add(piece),
+                Ok(None) => {}
+                Err(error) => self.close(&error),
+            }
         }
     }
 

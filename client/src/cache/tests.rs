@@ -1,6 +1,6 @@
 use super::segment::{Head, encode, record_len, scan, segment_head};
 use super::{CacheOptions, DiskCache, Loaded, Store, folder};
-use escarp_proto::wire::{Chunk, Class, Want};
+use escarp_proto::wire::{Chunk, Class, Have, Want};
 use proptest::prelude::*;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -96,6 +96,57 @@ fn a_page_of_another_revision_takes_the_place_of_the_old_one() {
     assert_eq!(first.get(1), Some(newer.clone()));
     drop(first);
     assert_eq!(store(folder.path()).get(1), Some(newer));
+}
+
+#[test]
+fn a_page_that_is_confirmed_is_of_the_new_manifest_in_later_runs_too_and_others_are_not() {
+    let folder = tempfile::tempdir().unwrap();
+    let have = |page, revision| Have {
+        page,
+        revision,
+        parts: 0,
+    };
+    let current = |store: &Store| {
+        let pages = (0..10).filter(|&page| store.index.lock().unwrap().current(page).is_some());
+        pages.collect::<Vec<u64>>()
+    };
+    let mut first = store(folder.path());
+    first.start(b"one");
+    (0..10).for_each(|page| first.put(&chunk(page, 0, (page % 3) as u8)));
+    first.start(b"two");
+    assert_eq!(current(&first), [0; 0]);
+    first.put(&chunk(9, 0, 0));
+    // Of a revision that is not kept, and of a page that is not.
+    first.confirm(&[have(4, 1), have(77, 1)]);
+    let same: Vec<Have> = [0, 1, 2, 5]
+        .map(|page| have(page, chunk(page, 0, 0).revision))
+        .into();
+    first.confirm(&same);
+    let length = || files(folder.path())[0].metadata().unwrap().len();
+    let before = length();
+    first.confirm(&same);
+    assert_eq!(length(), before, "nothing is said twice");
+    assert_eq!(current(&first), [0, 1, 2, 5, 9]);
+    drop(first);
+    let mut second = store(folder.path());
+    assert_eq!(current(&second), [0, 1, 2, 5, 9]);
+    assert_eq!(check(&mut second, 0..10), 10, "all parts are there");
+}
+
+#[test]
+fn what_comes_faster_than_the_disk_takes_it_is_kept_when_the_program_ends() {
+    const PAGES: u64 = 30_000;
+    let folder = tempfile::tempdir().unwrap();
+    let mut cache = DiskCache::open(options(folder.path(), 64 << 20), ADDRESS, Box::new(|| {}));
+    cache.start(b"one");
+    for page in 0..PAGES {
+        cache.put(&chunk(page, 0, 1));
+        cache.put(&chunk(page, 2, 4));
+    }
+    drop(cache);
+    let mut again = store(folder.path());
+    assert_eq!(check(&mut again, 0..PAGES), PAGES as usize);
+    assert_eq!(again.get(7).unwrap().last_part, 4);
 }
 
 #[test]

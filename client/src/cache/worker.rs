@@ -5,18 +5,28 @@ use super::store::tag_of;
 use super::{CacheOptions, Store};
 use escarp_proto::wire::{Chunk, Have, Want};
 use std::collections::HashSet;
-use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, TrySendError, sync_channel};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::mpsc::{Receiver, Sender, SyncSender, TryRecvError, TrySendError, channel};
+use std::sync::mpsc::{RecvTimeoutError, sync_channel};
 use std::sync::{Arc, Mutex, MutexGuard};
+use std::time::{Duration, Instant};
 
-/// Chunks and questions that wait for the disk; of 8 KiB each at most.
-const QUEUE: usize = 1024;
+/// Bytes that wait to be written: as many as a fast line brings while the disk, or the processor,
+/// is busy with something else. What has no room is not kept.
+const MOST_QUEUED: usize = 16 << 20;
+/// A chunk that waits takes about so much beside its bytes.
+const CHUNK_BYTES: usize = size_of::<Command>() + 16;
 /// Pages that are being read at a time.
 const MOST_PENDING: usize = 256;
+/// Longest wait for the disk at the end of a program.
+const LAST_WAIT: Duration = Duration::from_secs(5);
 
 enum Command {
     Put(Chunk),
     Get(u64),
     Start(Vec<u8>),
+    Confirm(Vec<Have>),
+    End,
 }
 
 /// Called on the cache's thread when there is something for [`DiskCache::poll`].
@@ -35,7 +45,9 @@ pub enum Loaded {
 #[derive(Debug)]
 pub struct DiskCache {
     index: Arc<Mutex<Index>>,
-    commands: SyncSender<Command>,
+    commands: Sender<Command>,
+    /// Bytes of chunks among them.
+    queued: Arc<AtomicUsize>,
     loaded: Receiver<Loaded>,
     pending: HashSet<u64>,
 }
@@ -45,19 +57,22 @@ impl DiskCache {
     pub fn open(options: CacheOptions, address: &str, waker: Waker) -> DiskCache {
         let mut store = Store::new(options, address);
         let index = Arc::clone(&store.index);
-        let (commands, mut queue) = sync_channel(QUEUE);
+        let (commands, mut queue) = channel();
         let (found, loaded) = sync_channel(MOST_PENDING);
+        let queued = Arc::new(AtomicUsize::new(0));
+        let queued_there = Arc::clone(&queued);
         // Without a thread the channel is closed: nothing is kept, and nothing is found.
         let _ = std::thread::Builder::new()
             .name("escarp-cache".into())
             .spawn(move || {
                 store.scan();
                 waker();
-                run(&mut store, &mut queue, &found, &waker);
+                run(&mut store, &mut queue, &queued_there, &found, &waker);
             });
         DiskCache {
             index,
             commands,
+            queued,
             loaded,
             pending: HashSet::new(),
         }
@@ -83,7 +98,12 @@ impl DiskCache {
     /// not used: they may have changed.
     pub fn start(&mut self, manifest: &[u8]) {
         self.index().set_tag(tag_of(manifest));
-        let _ = self.commands.try_send(Command::Start(manifest.to_vec()));
+        let _ = self.commands.send(Command::Start(manifest.to_vec()));
+    }
+
+    /// These pages of before are of this session's manifest, too.
+    pub fn confirm(&mut self, same: Vec<Have>) {
+        let _ = self.commands.send(Command::Confirm(same));
     }
 
     /// What to announce: the pages that were written last, newest first.
@@ -91,9 +111,14 @@ impl DiskCache {
         self.index().newest(most)
     }
 
-    /// Keeps a chunk that came from the server, if there is time.
+    /// Keeps a chunk that came from the server, if the disk is not too far behind.
     pub fn put(&mut self, chunk: &Chunk) {
-        let _ = self.commands.try_send(Command::Put(chunk.clone()));
+        let bytes = CHUNK_BYTES + chunk.bytes.len();
+        if self.queued.fetch_add(bytes, Ordering::Relaxed) + bytes > MOST_QUEUED {
+            self.queued.fetch_sub(bytes, Ordering::Relaxed);
+            return;
+        }
+        let _ = self.commands.send(Command::Put(chunk.clone()));
     }
 
     /// Asks the disk for pages that are wanted from their first part on. What is left has to come
@@ -120,10 +145,9 @@ impl DiskCache {
         if self.pending.len() >= MOST_PENDING {
             return true;
         }
-        match self.commands.try_send(Command::Get(want.page)) {
+        match self.commands.send(Command::Get(want.page)) {
             Ok(()) => self.pending.insert(want.page),
-            Err(TrySendError::Full(_)) => true,
-            Err(TrySendError::Disconnected(_)) => false,
+            Err(_) => false,
         }
     }
 
@@ -161,21 +185,30 @@ impl DiskCache {
         self.index().trouble.take()
     }
 
-    /// Waits until all that was put before is on its way to the disk. For tests and for the end of
-    /// a program that wrote much.
-    pub fn flush(self) {
-        let DiskCache {
-            commands, loaded, ..
-        } = self;
-        drop(commands);
+    /// Waits until all that was put before is on its way to the disk, as dropping it does.
+    pub fn flush(self) {}
+}
+
+/// What came last would be lost with the program's end.
+impl Drop for DiskCache {
+    fn drop(&mut self) {
+        let until = Instant::now() + LAST_WAIT;
         // The thread ends once it has done all, and closes its side.
-        while loaded.recv().is_ok() {}
+        let mut is_left = self.commands.send(Command::End).is_ok();
+        while is_left {
+            let left = until.saturating_duration_since(Instant::now());
+            is_left = match self.loaded.recv_timeout(left) {
+                Ok(_) => true,
+                Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => false,
+            };
+        }
     }
 }
 
 fn run(
     store: &mut Store,
     queue: &mut Receiver<Command>,
+    queued: &AtomicUsize,
     found: &SyncSender<Loaded>,
     waker: &Waker,
 ) {
@@ -183,8 +216,14 @@ fn run(
         let loaded = match command {
             Command::Put(chunk) => {
                 store.put(&chunk);
+                queued.fetch_sub(CHUNK_BYTES + chunk.bytes.len(), Ordering::Relaxed);
                 continue;
             }
+            Command::Confirm(same) => {
+                store.confirm(&same);
+                continue;
+            }
+            Command::End => return,
             Command::Start(manifest) => {
                 store.start(&manifest);
                 continue;

@@ -6,6 +6,7 @@ use crate::governor::{TIME_BUDGETS_MS, TRIANGLE_BUDGETS};
 use crate::mesh::{DEFAULT_MORPH, MORPH_SHARES, MeshOptions, MesherKind, Metric};
 use crate::net::{Credentials, TOKEN_VARIABLE, Url};
 use crate::remote::{ClientOptions, RemoteTerrain};
+use crate::stages::Budget;
 use anyhow::{Result, bail};
 use clap::Args;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
@@ -90,17 +91,22 @@ const FRAME_BUDGETS_MS: [f64; 2] = [0.1, 10_000.0];
 
 /// Time for a frame's work.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct FrameBudget(pub(super) Option<Duration>);
+pub(super) struct FrameBudget(pub(super) Budget);
 
 impl FromStr for FrameBudget {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        if text == "none" {
-            return Ok(FrameBudget(None));
-        }
-        let ms = ms_within(text, FRAME_BUDGETS_MS).map_err(|why| format!("{why}; or none"))?;
-        Ok(FrameBudget(Some(Duration::from_secs_f64(ms / 1e3))))
+        let budget = match text {
+            "none" => Budget::None,
+            "auto" => Budget::ByFrame,
+            _ => {
+                let ms = ms_within(text, FRAME_BUDGETS_MS);
+                let ms = ms.map_err(|why| format!("{why}; or auto, or none"))?;
+                Budget::Fixed(Duration::from_secs_f64(ms / 1e3))
+            }
+        };
+        Ok(FrameBudget(budget))
     }
 }
 
@@ -455,9 +461,10 @@ mod tests {
                 assert!(says, "{wrong}: {refusal}");
             }
         }
-        assert_eq!("none".parse(), Ok(FrameBudget(None)));
+        assert_eq!("none".parse(), Ok(FrameBudget(Budget::None)));
+        assert_eq!("auto".parse(), Ok(FrameBudget(Budget::ByFrame)));
         let eight = Duration::from_millis(8);
-        assert_eq!("8".parse(), Ok(FrameBudget(Some(eight))));
+        assert_eq!("8".parse(), Ok(FrameBudget(Budget::Fixed(eight))));
         assert_eq!(max_ms("2.5"), Ok(2.5));
     }
 }

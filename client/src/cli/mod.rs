@@ -6,8 +6,13 @@ mod pull;
 mod snapshot;
 mod view;
 
+use crate::pull::PullError;
 use anyhow::Result;
 use clap::{Parser, Subcommand};
+use std::process::ExitCode;
+
+/// Exit code for arguments that cannot be used, as clap's own.
+const WRONG_USAGE: u8 = 2;
 
 /// Look at terrain that an escarp-server hosts.
 #[derive(Debug, Parser)]
@@ -51,5 +56,13 @@ pub fn run(cli: Cli) -> Result<()> {
         Command::Snapshot(args) => snapshot::run(&args),
         Command::Pull(args) => pull::run(args),
         Command::Fly(args) => fly::run(&args),
+    }
+}
+
+/// How a program ends that failed so: 2 where other arguments would help, else 1.
+pub fn exit_code(error: &anyhow::Error) -> ExitCode {
+    match error.downcast_ref() {
+        Some(PullError::Usage(_)) => ExitCode::from(WRONG_USAGE),
+        _ => ExitCode::FAILURE,
     }
 }

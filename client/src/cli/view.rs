@@ -13,8 +13,9 @@ pub(super) struct ViewArgs {
     look: LookArgs,
     #[command(flatten)]
     mesh: MeshArgs,
-    /// Most milliseconds of a frame's work; pages that arrive faster wait. Or none
-    #[arg(long, default_value = "8", value_name = "MS")]
+    /// Most milliseconds of a frame's work; pages that arrive faster wait. Or auto: half of what the
+    /// rest of a frame takes, 8 at least and 125 at most; or none
+    #[arg(long, default_value = "auto", value_name = "MS")]
     frame_budget_ms: FrameBudget,
 }
 

@@ -35,7 +35,8 @@ pub struct LinkConfig {
 }
 
 impl LinkConfig {
-    /// The usual settings for a dataset.
+    /// The usual settings for a dataset, with a fixed seed: a program takes one that others have
+    /// not, by [`seeded`](Self::seeded).
     pub fn new(dataset: impl Into<String>) -> LinkConfig {
         LinkConfig {
             dataset: dataset.into(),
@@ -51,6 +52,16 @@ impl LinkConfig {
             backoff_min: Duration::from_millis(250),
             backoff_max: Duration::from_secs(15),
             jitter_seed: 0,
+        }
+    }
+
+    /// The same with a seed of its own, so that clients which lose a server at one moment come back
+    /// one after the other.
+    #[must_use]
+    pub fn seeded(self, jitter_seed: u64) -> LinkConfig {
+        LinkConfig {
+            jitter_seed,
+            ..self
         }
     }
 }
@@ -118,6 +129,18 @@ mod tests {
         for (i, wait) in waits(100).into_iter().enumerate() {
             let step = (config.backoff_min * (1 << i.min(10))).min(config.backoff_max);
             assert!(wait >= step / 2 && wait <= step, "wait {i} is {wait:?}");
+        }
+    }
+
+    #[test]
+    fn with_seeds_of_their_own_a_thousand_clients_come_back_spread_over_half_the_wait() {
+        let first = |seed| Backoff::new(&LinkConfig::new("d").seeded(seed)).next();
+        let mut waits: Vec<Duration> = (0..1000).map(first).collect();
+        waits.sort_unstable();
+        let least = LinkConfig::new("d").backoff_min / 2;
+        for (i, wait) in waits.into_iter().enumerate() {
+            let even = least.mul_f64(1.0 + i as f64 / 1000.0);
+            assert!(wait.abs_diff(even) < least / 10, "{i}: {wait:?}, {even:?}");
         }
     }
 

@@ -327,6 +327,11 @@ impl Link {
         self.held.has(page.key())
     }
 
+    /// The revision of a page that it [holds](Self::holds).
+    pub fn revision(&self, page: PageId) -> Option<u32> {
+        self.held.revision(page.key())
+    }
+
     /// Places for pages: what is not yet taken by the caller occupies one, too.
     fn places(&self) -> usize {
         let allowed = usize::try_from(self.limits.wanted_pages).unwrap_or(usize::MAX);

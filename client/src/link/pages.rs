@@ -105,6 +105,10 @@ impl Held {
         self.pages.contains_key(&page)
     }
 
+    pub(super) fn revision(&self, page: u64) -> Option<u32> {
+        self.pages.get(&page).map(|parts| parts.revision)
+    }
+
     /// Whether the server may still say that the page is stale.
     pub(super) fn is_announced(&self, page: u64) -> bool {
         self.pages.get(&page).is_some_and(|parts| parts.announced)

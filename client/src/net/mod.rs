@@ -19,6 +19,7 @@ pub use url::{DEFAULT_PORT, Url, UrlError};
 
 use crate::link::Link;
 use escarp_proto::wire::early_value;
+use std::hash::{BuildHasher, Hasher, RandomState};
 use std::thread::JoinHandle;
 use std::time::Duration;
 use thread::{Attempt, News, Plan, Report, Worker};
@@ -34,6 +35,13 @@ const OUTGOING_MESSAGES: usize = 8;
 const REPORTS: usize = 256;
 /// Reports taken in one turn, so that a flood cannot hold a frame up.
 const REPORTS_A_TURN: usize = 2 * REPORTS;
+
+/// A number from the system that other programs, and other connections of this one, have not: for
+/// [`LinkConfig::seeded`](crate::link::LinkConfig::seeded).
+pub fn own_seed() -> u64 {
+    // Each has keys of its own, the first of which the system has drawn.
+    RandomState::new().build_hasher().finish()
+}
 
 /// What moves messages between a link and its server.
 pub trait Carrier: Send {

@@ -259,3 +259,9 @@ fn a_websocket_server_of_another_kind_is_left() {
             .starts_with("from the server: message of 30 bytes")
     );
 }
+
+#[test]
+fn connections_of_one_program_have_seeds_of_their_own() {
+    let seeds: std::collections::HashSet<u64> = (0..1000).map(|_| super::own_seed()).collect();
+    assert_eq!(seeds.len(), 1000);
+}

@@ -11,7 +11,11 @@ pub enum PullError {
     /// Bounds, error or target are not what is allowed: choose others.
     #[error("{0}")]
     Usage(String),
-    /// The server cannot be reached, refuses, or has fallen silent: what was received is kept.
+    /// The server refuses for good: there is no such dataset, or no access to it. To try again is
+    /// of no use before that is changed.
+    #[error("the server refuses: {0}")]
+    Refused(String),
+    /// The server cannot be reached, or has fallen silent: what was received is kept.
     #[error("{why}; what was received is kept, run the same command again to go on")]
     Server {
         /// What happened.

@@ -3,7 +3,7 @@
 use super::PullError;
 use super::spool::{Records, Spool};
 use crate::link::{Event, Link, LinkConfig};
-use crate::net::{Connection, Url};
+use crate::net::{Connection, Url, own_seed};
 use escarp_proto::geometry::PageId;
 use escarp_proto::manifest::Manifest;
 use escarp_proto::page::{MAX_RECORD_BYTES, last_part, revision};
@@ -52,7 +52,7 @@ impl Fetcher {
             token,
             push: false,
             max_in_flight_pages: BATCH,
-            ..LinkConfig::new(url.dataset().unwrap_or(""))
+            ..LinkConfig::new(url.dataset().unwrap_or("")).seeded(own_seed())
         };
         Fetcher {
             link: Link::new(config),
@@ -161,9 +161,9 @@ impl Fetcher {
             }
             Event::Refused {
                 fatal: true, text, ..
-            } => Err(PullError::Server {
-                why: self.link.trouble().map_or(text, str::to_owned),
-            }),
+            } => Err(PullError::Refused(
+                self.link.trouble().map_or(text, str::to_owned),
+            )),
             Event::Miss(miss) if miss.reason != MissReason::Busy => {
                 let page = PageId::from_key(miss.page).map_or(String::new(), |p| p.to_string());
                 let why = match miss.reason {

@@ -129,10 +129,18 @@ fn in_metres(bounds: &Bounds, georef: &Georef) -> Result<[f64; 4], PullError> {
             middle_latitude_deg,
             ..
         } => (*radius_m, *middle_longitude_deg, *middle_latitude_deg),
-        Plane::Projected { crs, .. } => {
+        Plane::Projected {
+            crs,
+            metres_per_unit,
+        } => {
+            let factor = match *metres_per_unit {
+                1.0 => String::new(),
+                factor => format!(", in units of {factor} m"),
+            };
             return usage(format!(
-                "the dataset is in the plane of {crs}; give --bounds in its metres, without \
-                 --lonlat"
+                "the dataset is in the plane of {crs}, for which this program has no projection; \
+                 give --bounds in its metres, without --lonlat. GDAL brings corners there: \
+                 echo {west} {south} | gdaltransform -s_srs EPSG:4326 -t_srs '{crs}'{factor}"
             ));
         }
         Plane::Local => {

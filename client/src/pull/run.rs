@@ -1,29 +1,24 @@
 //! The work in its order: manifest, coarse pages, then tile by tile; published at the end.
 
 use super::PullError;
-use super::build::{Built, Made, MadePages, Tally, build_above};
+use super::build::Tally;
 use super::fetch::{Fetcher, Received};
 use super::frame::{Bounds, Frame, Region};
-use super::plan::{Fate, Plan, children, slot_corners};
+use super::plan::{Fate, Plan, children};
 use super::spool::{Records, Spool};
 use crate::net::Url;
-use escarp_dataset::{DatasetWriter, FamilyBytes, FamilyId};
-use escarp_proto::geometry::{PAGE_LEVELS, PageId, Slot};
-use escarp_proto::manifest::{FileCheck, Manifest, Tolerance};
-use escarp_proto::page::{ChildSlot, Codec, MAX_SPAN, Page, Range, implied_cell};
-use rayon::prelude::*;
+use escarp_proto::geometry::{PAGE_LEVELS, PageId};
+use escarp_proto::manifest::Manifest;
+use escarp_proto::page::{Codec, MAX_SPAN, Page};
 use std::path::PathBuf;
 use std::time::Duration;
 
+mod describe;
+mod estimate;
 mod folder;
-use folder::Part;
+mod write;
 
-/// Tiles of pages that `--dry-run` looks at; of more, evenly spread ones stand for all.
-const SAMPLED_TILES: usize = 16;
-/// Finest pages whose length stands for that of all.
-const SAMPLED_PAGES: usize = 64;
-/// Tiles of a single page that share a journal.
-const SMALL_TILES: usize = 64;
+use folder::Part;
 
 /// What to pull, and where to.
 #[derive(Debug, Clone)]
@@ -292,277 +287,6 @@ impl Work<'_> {
         let first = middle.first().map_or(0, |page| page.square().y);
         self.rows.retain(|page, _| page.square().y >= first);
         Ok(middle)
-    }
-
-    /// How much there is to pull, by looking at some of the tiles.
-    fn estimate(mut self) -> Result<PullReport, PullError> {
-        let tiles = self.stored(self.tile_level());
-        let step = tiles.len().div_ceil(SAMPLED_TILES).max(1);
-        let looked: Vec<PageId> = tiles.iter().copied().step_by(step).collect();
-        let before = self.fetcher.received;
-        let (mut finest, mut sample) = (0, Vec::new());
-        for &tile in &looked {
-            let middle = self.open_tile(tile, &mut Records::new(), None)?;
-            let below = self.parents(tile).into_iter().flat_map(children);
-            let fetched = below.filter(|&page| self.plan.fate(page) == Fate::Fetched);
-            for page in fetched {
-                finest += 1;
-                if sample.len() < SAMPLED_PAGES && finest % 7 == 1 {
-                    sample.push(page);
-                }
-            }
-            middle
-                .iter()
-                .for_each(|page| drop(self.plan.nodes.remove(page)));
-        }
-        let looked_at = self.fetcher.received;
-        let mut records = Records::new();
-        self.fetcher
-            .fetch(&sample, &mut records, None, &mut |_| {})?;
-        let bytes: usize = records.values().map(Vec::len).sum();
-        let share = tiles.len() as f64 / looked.len().max(1) as f64;
-        let each = bytes as f64 / records.len().max(1) as f64;
-        let middle = Received {
-            pages: looked_at.pages - before.pages,
-            bytes: looked_at.bytes - before.bytes,
-        };
-        let scaled = |n: f64| (n * share).ceil() as u64;
-        Ok(PullReport {
-            pages: before.pages + scaled(middle.pages as f64 + f64::from(finest)),
-            bytes: before.bytes + scaled(middle.bytes as f64 + f64::from(finest) * each),
-            stored_pages: 0,
-            samples: self.plan.frame.samples,
-            storage_error_m: self.storage_error_m(self.plan.most),
-        })
-    }
-
-    /// The error of heights against the sources, with so many quanta on top, metres, rounded up.
-    fn storage_error_m(&self, quanta: u32) -> f64 {
-        let own = f64::from(quanta) * self.manifest.georef.quantum_m;
-        match quanta {
-            0 => self.manifest.storage_error_m,
-            _ => (self.manifest.storage_error_m + own) * (1.0 + 4.0 * f64::EPSILON),
-        }
-    }
-
-    fn write(mut self, url: &Url, error_m: f64) -> Result<PullReport, PullError> {
-        let Some(part) = self.part.take() else {
-            return Err(PullError::Usage("nothing is to be written".into()));
-        };
-        let mut writer = DatasetWriter::create(&part.dataset(), true)?;
-        self.part = Some(part);
-        let mut made = self.tiles(&mut writer)?;
-        let mut level = self.tile_level();
-        while level > self.plan.frame.base {
-            level -= PAGE_LEVELS;
-            made = self.level(level, made, &mut writer)?;
-        }
-        let root = self.root(made, &mut writer)?;
-        if root.slot == ChildSlot::Empty {
-            return Err(PullError::Usage(
-                "there is no data within the bounds".into(),
-            ));
-        }
-        let manifest = self.new_manifest(url, error_m);
-        let storage_error_m = manifest.storage_error_m;
-        let published = writer.publish(manifest)?;
-        let received = self.fetcher.received;
-        if let Some(part) = self.part.take() {
-            part.publish()?;
-        }
-        Ok(PullReport {
-            pages: received.pages,
-            bytes: received.bytes,
-            stored_pages: published.pages,
-            samples: self.plan.frame.samples,
-            storage_error_m,
-        })
-    }
-
-    /// All tiles, one after the other. What was made of them, by page of the old grid.
-    fn tiles(&mut self, writer: &mut DatasetWriter) -> Result<MadePages, PullError> {
-        let tiles = self.stored(self.tile_level());
-        let together = match tiles.first() {
-            Some(tile) if tile.level() + 2 * PAGE_LEVELS == self.finest() => 1,
-            _ => SMALL_TILES,
-        };
-        self.tiles = [0, tiles.len()];
-        let mut made = MadePages::new();
-        for (number, stretch) in tiles.chunks(together).enumerate() {
-            let (mut spool, mut records) = self.stretch(1 + number)?;
-            for &tile in stretch {
-                let own = self.tile(tile, &mut records, spool.as_mut(), writer)?;
-                made.insert(tile, own);
-                self.tiles[0] += 1;
-            }
-        }
-        Ok(made)
-    }
-
-    fn tile(
-        &mut self,
-        tile: PageId,
-        records: &mut Records,
-        mut spool: Option<&mut Spool>,
-        writer: &mut DatasetWriter,
-    ) -> Result<Made, PullError> {
-        let middle = self.open_tile(tile, records, spool.as_deref_mut())?;
-        let parents = self.parents(tile);
-        let finest: Vec<PageId> = parents.iter().copied().flat_map(children).collect();
-        self.get(&finest, records, spool)?;
-        let (plan, codec, here) = (&self.plan, self.codec, &*records);
-        let of_parents: Vec<(PageId, Built)> = parents
-            .par_iter()
-            .map(|&parent| Ok((parent, plan.build_parent(parent, here, codec)?)))
-            .collect::<Result<_, PullError>>()?;
-        let mut below = MadePages::new();
-        for (parent, built) in of_parents {
-            below.insert(parent, self.take(built, writer)?);
-        }
-        let own = match below.remove(&tile) {
-            Some(own) => own,
-            None => self.built(tile, &below, writer)?,
-        };
-        finest.iter().for_each(|page| drop(records.remove(page)));
-        middle
-            .iter()
-            .for_each(|page| drop(self.plan.nodes.remove(page)));
-        Ok(own)
-    }
-
-    fn take(&mut self, built: Built, writer: &mut DatasetWriter) -> Result<Made, PullError> {
-        self.tally = self.tally.and(built.tally);
-        if let Some(family) = &built.family {
-            writer.append(family)?;
-        }
-        Ok(built.made)
-    }
-
-    /// A page of the plan, from what was made of those below it.
-    fn built(
-        &mut self,
-        page: PageId,
-        below: &MadePages,
-        writer: &mut DatasetWriter,
-    ) -> Result<Made, PullError> {
-        let missing = || PullError::Contradiction(format!("page {page} is not known"));
-        let node = self.plan.nodes.get(&page).ok_or_else(missing)?;
-        let built = self
-            .plan
-            .build(node, self.codec, |child| below.get(&child).cloned())?;
-        self.take(built, writer)
-    }
-
-    fn level(
-        &mut self,
-        level: u8,
-        below: MadePages,
-        writer: &mut DatasetWriter,
-    ) -> Result<MadePages, PullError> {
-        let mut made = MadePages::new();
-        for page in self.stored(level) {
-            made.insert(page, self.built(page, &below, writer)?);
-        }
-        Ok(made)
-    }
-
-    /// From the base pages up to the root of the new grid.
-    fn root(&mut self, mut base: MadePages, writer: &mut DatasetWriter) -> Result<Made, PullError> {
-        let frame = self.plan.frame;
-        let mut renamed = MadePages::new();
-        for page in frame.pages(frame.base) {
-            let made = match (self.plan.fate(page), page.parent()) {
-                (Fate::Implied(error), Some((parent, slot))) => {
-                    let Some(above) = self.plan.above.get(&parent) else {
-                        continue;
-                    };
-                    let corners = slot_corners(slot).map(|corner| above.height(corner));
-                    let heights = corners.into_iter().fold(Range::EMPTY, Range::with);
-                    let samples = self.plan.owned(page);
-                    self.tally = self.tally.and(Tally {
-                        error,
-                        heights,
-                        samples,
-                    });
-                    Some(Made {
-                        slot: implied_cell(corners, frame.levels_from(page.level())),
-                        record: None,
-                    })
-                }
-                _ => base.remove(&page),
-            };
-            if let (Some(made), Some(new)) = (made, frame.renamed(page)) {
-                renamed.insert(new, made);
-            }
-        }
-        let mut append = |family: &FamilyBytes| Ok(writer.append(family)?);
-        let mut top = build_above(&self.plan, self.codec, renamed, &mut append)?;
-        let root = top.remove(&PageId::ROOT);
-        let root =
-            root.ok_or_else(|| PullError::Usage("there is no data within the bounds".into()))?;
-        let record = root.record.clone().unwrap_or_default();
-        let family = FamilyBytes::encode(FamilyId::ROOT, &[(Slot::from_index(0), record)]);
-        if let Some(family) = family {
-            writer.append(&family)?;
-        }
-        Ok(root)
-    }
-
-    /// The server's manifest, with what is different now.
-    fn new_manifest(&self, url: &Url, error_m: f64) -> Manifest {
-        let (old, frame) = (self.manifest, &self.plan.frame);
-        let is_whole = frame.shift == [0, 0] && frame.samples == old.samples;
-        let heights = self.tally.heights;
-        let storage_error_m = self.storage_error_m(self.tally.error);
-        let mut sources = old.sources.clone();
-        let filled = old.filled.map_or(String::new(), |filled| {
-            format!(", where {} samples are no data but fill", filled.samples)
-        });
-        sources.push(format!("{url}, generation {}{filled}", old.generation));
-        Manifest {
-            grid_levels: frame.new,
-            samples: frame.samples,
-            valid_samples: match is_whole {
-                true => old.valid_samples,
-                false => self.tally.samples,
-            },
-            height_range: (!heights.is_empty()).then_some([heights.lo, heights.hi]),
-            georef: frame.georef(&old.georef),
-            storage_error_m,
-            codec: self.codec as u8,
-            pages: 0,
-            segments: Vec::new(),
-            index: FileCheck {
-                bytes: 0,
-                crc32c: 0,
-            },
-            sources,
-            filled: None,
-            tolerances: self.tolerances(error_m, storage_error_m),
-            ..old.clone()
-        }
-    }
-
-    /// What the server's dataset says of regions stored coarser, with the pull's own error.
-    fn tolerances(&self, error_m: f64, storage_error_m: f64) -> Vec<Tolerance> {
-        let mut all = self.manifest.tolerances.clone();
-        if self.tally.error == 0 {
-            return all;
-        }
-        let own_m = storage_error_m - self.manifest.storage_error_m;
-        for tolerance in &mut all {
-            tolerance.tolerance_m += error_m;
-            let largest_m = (tolerance.largest_error_m + own_m) * (1.0 + 4.0 * f64::EPSILON);
-            tolerance.largest_error_m = largest_m;
-        }
-        if all.iter().all(|tolerance| tolerance.region.is_some()) {
-            all.push(Tolerance {
-                tolerance_m: error_m,
-                region: None,
-                largest_error_m: storage_error_m,
-            });
-        }
-        all
     }
 }
 

@@ -6,13 +6,15 @@ use crate::net::Url;
 use crate::terrain::Terrain;
 use escarp_proto::geometry::PageId;
 use escarp_proto::manifest::Manifest;
-use escarp_proto::wire::{Chunk, Want};
+use escarp_proto::wire::{Chunk, Have, Want};
 use std::sync::Arc;
 use std::time::Duration;
 
-/// Longest wait for the disk before connecting. What is here then is announced in one go with the
-/// first view, so that the server does not send it.
-const HEAD_START: Duration = Duration::from_secs(1);
+/// How long the connection waits for a disk that gives nothing. What is here by then is announced
+/// in one go with the first view, so that the server does not send it.
+const PATIENCE: Duration = Duration::from_secs(1);
+/// How long it waits for one that does, while the view still needs what it has.
+const HEAD_START: Duration = Duration::from_secs(20);
 
 /// A cache, and where the start of the first session stands.
 pub(super) struct Kept {
@@ -27,6 +29,16 @@ pub(super) struct Kept {
     /// Whether it had some of that, so that there may be more below.
     has_more: bool,
     since: Option<Duration>,
+    /// When the disk last gave something.
+    given_at: Option<Duration>,
+}
+
+impl Kept {
+    fn poll(&mut self, now: Duration) -> Option<Loaded> {
+        let loaded = self.cache.poll()?;
+        self.given_at = Some(now);
+        Some(loaded)
+    }
 }
 
 impl RemoteTerrain {
@@ -46,6 +58,7 @@ impl RemoteTerrain {
             is_asked: false,
             has_more: false,
             since: None,
+            given_at: None,
         });
     }
 
@@ -92,9 +105,15 @@ impl RemoteTerrain {
             return true;
         };
         let since = *kept.since.get_or_insert(now);
+        if waiting > 0 {
+            // It is not the disk that is slow.
+            kept.given_at = Some(now);
+        }
+        let silent_since = kept.given_at.unwrap_or(since);
+        let is_over = now >= silent_since + PATIENCE || now >= since + HEAD_START;
         let is_loaded = kept.is_asked && !kept.has_more && !kept.cache.is_reading() && waiting == 0;
         let has_nothing = kept.is_resumed && kept.cache.manifest().is_none();
-        kept.is_released |= is_loaded || has_nothing || now >= since + HEAD_START;
+        kept.is_released |= is_loaded || has_nothing || is_over;
         kept.is_released && !kept.is_offline
     }
 
@@ -102,7 +121,7 @@ impl RemoteTerrain {
     fn feed(&mut self) {
         self.resume();
         while self.generations.newest().is_some_and(Terrain::has_room)
-            && let Some(loaded) = self.kept.as_mut().and_then(|kept| kept.cache.poll())
+            && let Some(loaded) = self.kept.as_mut().and_then(|kept| kept.poll(self.now))
         {
             if let (Loaded::Page(chunk), Some(terrain)) = (loaded, self.generations.newest_mut())
                 && self.link.adopt(&chunk)
@@ -150,6 +169,20 @@ impl RemoteTerrain {
     pub(super) fn keep_manifest(&mut self, manifest: &Manifest) {
         if let Some(kept) = &mut self.kept {
             kept.cache.start(&manifest.to_json());
+        }
+    }
+
+    /// These pages of before are of this generation, too: so they are of use to later runs.
+    pub(super) fn keep_on(&mut self, same: &[PageId]) {
+        if let Some(kept) = &mut self.kept {
+            let have = |page: &PageId| {
+                Some(Have {
+                    page: page.key(),
+                    revision: self.link.revision(*page)?,
+                    parts: 0,
+                })
+            };
+            kept.cache.confirm(same.iter().filter_map(have).collect());
         }
     }
 

@@ -2,8 +2,8 @@
 
 use crate::governor::{Budgets, Governor};
 use crate::mesh::{MeshOptions, Metric};
+use crate::stages::Budget;
 use crate::terrain::{DEFAULT_MEMORY_BYTES, room_for_pages};
-use std::time::Duration;
 
 /// How a client works.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -21,7 +21,7 @@ pub struct ClientOptions {
     pub max_ms: Option<f64>,
     /// How long a step may take. Pages for which there is no time wait for the next one; at least
     /// one is linked in each.
-    pub frame_budget: Option<Duration>,
+    pub frame_budget: Budget,
 }
 
 impl Default for ClientOptions {
@@ -32,7 +32,7 @@ impl Default for ClientOptions {
             mesh: MeshOptions::default(),
             push: true,
             max_ms: None,
-            frame_budget: None,
+            frame_budget: Budget::None,
         }
     }
 }

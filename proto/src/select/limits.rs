@@ -32,6 +32,21 @@ pub(super) fn limit_with(distance: f32, more: f32) -> u16 {
     }
 }
 
+/// The lines of samples along an axis from where the eye may be, in metres of error: how far away
+/// is what lies beyond each, and what lies before it, where that is more than 0.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Lines {
+    pub(super) beyond: [f32; PAGE_SAMPLES],
+    pub(super) before: [f32; PAGE_SAMPLES],
+}
+
+impl Lines {
+    /// How far away is what lies between two lines, at least.
+    pub(super) fn between(&self, low: usize, high: usize) -> f32 {
+        self.beyond[low].max(self.before[high]).max(0.0)
+    }
+}
+
 /// Limits of the lines of samples along an axis: for what lies beyond each, and before it.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Axis {
@@ -49,11 +64,11 @@ pub(super) struct Halves<const N: usize> {
 }
 
 impl Axis {
-    /// `lines`: from the eye, in metres of error. `more` is added to every error.
-    pub(super) fn new(lines: &[f32; PAGE_SAMPLES], more: f32) -> Axis {
+    /// `more` is added to every error.
+    pub(super) fn new(lines: &Lines, more: f32) -> Axis {
         Axis {
-            beyond: lines.map(|line| limit_with(line.max(0.0), more)),
-            before: lines.map(|line| limit_with((-line).max(0.0), more)),
+            beyond: lines.beyond.map(|line| limit_with(line.max(0.0), more)),
+            before: lines.before.map(|line| limit_with(line.max(0.0), more)),
         }
     }
 

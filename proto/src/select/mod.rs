@@ -18,6 +18,7 @@
 //! may be a little more than what the mesh asks for, never less.
 
 mod close;
+mod eyes;
 mod limits;
 mod marks;
 mod sketch;
@@ -25,6 +26,7 @@ mod test;
 #[cfg(test)]
 mod tests;
 
+pub use eyes::Eyes;
 pub use sketch::Sketch;
 
 use crate::geometry::{GridLevels, PageId, Slot};
@@ -48,6 +50,17 @@ pub trait Known {
     /// asked for a page only after all those above it. `None` if nothing is: it is damaged, or not
     /// here.
     fn sketch(&mut self, page: PageId) -> Option<Arc<Sketch>>;
+}
+
+/// What is selected for.
+#[derive(Debug, Clone, Copy)]
+pub struct Look<'a> {
+    /// The view, but for its eye.
+    pub view: &'a View,
+    /// Where the eye may be.
+    pub eyes: Eyes,
+    /// What of the terrain is of use.
+    pub scope: Scope,
 }
 
 /// A page with a record that the mesh needs.
@@ -142,16 +155,30 @@ impl Selection {
     /// sketches say.
     pub fn select(
         &mut self,
-        (grid, georef): (GridLevels, &Georef),
+        space: (GridLevels, &Georef),
         view: &View,
         scope: Scope,
         known: &mut dyn Known,
         limit: usize,
         out: &mut Vec<Need>,
     ) -> Outcome {
+        let eyes = Eyes::at(view.eye_m);
+        self.select_for(space, Look { view, eyes, scope }, known, limit, out)
+    }
+
+    /// The same for all views that differ from one in nothing but where the eye is: what is listed
+    /// is enough for each of them.
+    pub fn select_for(
+        &mut self,
+        (grid, georef): (GridLevels, &Georef),
+        Look { view, eyes, scope }: Look<'_>,
+        known: &mut dyn Known,
+        limit: usize,
+        out: &mut Vec<Need>,
+    ) -> Outcome {
         self.clear(limit);
         let sight = Sight::new(georef, view);
-        self.test(&test::Pass::new(grid, &sight, scope), known);
+        self.test(&test::Pass::new(grid, &sight, scope).from(eyes), known);
         self.close(known);
         let outcome = self.list(grid, limit, out);
         self.clear(0);

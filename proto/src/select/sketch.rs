@@ -85,6 +85,11 @@ impl Sketch {
         size_of::<Sketch>() + self.cells.as_ref().map_or(0, |_| size_of::<Cells>())
     }
 
+    /// Whether the page has no surface.
+    pub(super) fn is_empty(&self) -> bool {
+        self.lo[0] > self.hi[0]
+    }
+
     /// Whether a record is stored for the page below a slot. `None` before that is known.
     pub(super) fn has_record(&self, slot: Slot) -> Option<bool> {
         let (column, row) = slot.position();

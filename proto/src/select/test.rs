@@ -1,6 +1,7 @@
 //! Downwards: which triangles and cells of a page are beyond the tolerance.
 
-use super::limits::{Axis, limit, limit_with, rows, squares};
+use super::eyes::Eyes;
+use super::limits::{Axis, Lines, limit, limit_with, rows, squares};
 use super::marks::Marks;
 use super::sketch::{Sketch, first};
 use super::{Known, NONE, PART_COUNTS, PageKind, Scope, Seen, Selection, below};
@@ -11,27 +12,31 @@ use crate::georef::WorldBox;
 use crate::page::{SLOT_PART, last_part};
 use crate::sight::Sight;
 use crate::sight::squares::{ErrorCode, PAGE_SQUARES};
+use std::cell::OnceCell;
 
 /// One selection's view.
 pub(super) struct Pass<'a> {
     grid: GridLevels,
     sight: &'a Sight,
+    eyes: Eyes,
     scope: Scope,
 }
 
-/// A page from the eye, in metres of error: distances over the threshold.
+/// A page from where the eye may be, in metres of error: distances over the threshold.
 struct Around {
-    columns: [f32; PAGE_SAMPLES],
-    rows: [f32; PAGE_SAMPLES],
-    /// Height of the page's lowest step above the eye, and what a step adds; and how much of that
-    /// may be rounding.
-    base: f32,
+    columns: Lines,
+    rows: Lines,
+    /// Height of the page's lowest step above the highest place of the eye, and above the lowest;
+    /// what a step adds; and how much of that may be rounding.
+    base: [f32; 2],
     step: f32,
     slack: f32,
     /// How far the page is to the side.
     flat: f32,
     /// A metre.
     metre: f32,
+    /// Limits of columns and rows, once they have been asked for.
+    axes: OnceCell<[Axis; 2]>,
 }
 
 /// Heights of the squares of a page that count beside the distance to the side.
@@ -146,7 +151,18 @@ fn metres(code: u16) -> f32 {
 
 impl<'a> Pass<'a> {
     pub(super) fn new(grid: GridLevels, sight: &'a Sight, scope: Scope) -> Pass<'a> {
-        Pass { grid, sight, scope }
+        let eyes = Eyes::at(sight.tests.eye_m);
+        Pass {
+            grid,
+            sight,
+            eyes,
+            scope,
+        }
+    }
+
+    /// The same from wherever the eye may be.
+    pub(super) fn from(self, eyes: Eyes) -> Pass<'a> {
+        Pass { eyes, ..self }
     }
 
     /// What the tests find of a page that is stored.
@@ -156,28 +172,31 @@ impl<'a> Pass<'a> {
     }
 
     fn around(&self, id: PageId, sketch: &Sketch) -> Around {
-        let tests = &self.sight.tests;
+        let unit = 1.0 / self.sight.tests.threshold;
         let (x, y) = self.grid.page_origin(id);
         let stride = self.grid.page_stride(id);
-        let line = |origin: u32, axis: usize, i: usize| {
-            let at_m = self.sight.grid_m(origin + i as u32 * stride, axis);
-            ((at_m - tests.eye_m[axis]) / tests.threshold) as f32
+        let over = |metres: f64| (metres * unit) as f32;
+        let lines = |origin: u32, axis: usize| {
+            let at_m = |i: usize| self.sight.grid_m(origin + i as u32 * stride, axis);
+            Lines {
+                beyond: std::array::from_fn(|i| over(at_m(i) - self.eyes.hi_m[axis])),
+                before: std::array::from_fn(|i| over(self.eyes.lo_m[axis] - at_m(i))),
+            }
         };
-        let columns = std::array::from_fn(|i| line(x, 0, i));
-        let rows = std::array::from_fn(|i| line(y, 1, i));
+        let (columns, rows) = (lines(x, 0), lines(y, 1));
         let height_m = |code| sketch.steps.height(code) as f64 * self.sight.quantum_m();
-        let base = ((height_m(0) - tests.eye_m[2]) / tests.threshold) as f32;
-        let step = ((height_m(1) - height_m(0)) / tests.threshold) as f32;
+        let base = [self.eyes.hi_m[2], self.eyes.lo_m[2]].map(|eye_m| over(height_m(0) - eye_m));
+        let step = over(height_m(1) - height_m(0));
         let last = PAGE_SAMPLES - 1;
-        let outside = |lines: &[f32; PAGE_SAMPLES]| lines[0].max(-lines[last]).max(0.0);
         Around {
             base,
             step,
-            slack: (base.abs() + 255.0 * step) * 1e-6,
-            flat: outside(&columns).max(outside(&rows)),
+            slack: (base[0].abs().max(base[1].abs()) + 255.0 * step) * 1e-6,
+            flat: columns.between(0, last).max(rows.between(0, last)),
             columns,
             rows,
-            metre: (1.0 / tests.threshold) as f32,
+            metre: over(1.0),
+            axes: OnceCell::new(),
         }
     }
 
@@ -187,9 +206,13 @@ impl<'a> Pass<'a> {
         let cells = self.grid.square_cells(id.level());
         let [lo, hi] = range.map(|code| above.steps.height(code) as f64 * self.sight.quantum_m());
         let line = |grid, axis| self.sight.grid_m(grid, axis);
+        let min = [line(x, 0), line(y, 1), lo];
+        let max = [line(x + cells, 0), line(y + cells, 1), hi];
+        // What one eye sees of a page, another one sees of the page moved the other way.
+        let (eye_m, eyes) = (self.sight.tests.eye_m, &self.eyes);
         let region = WorldBox {
-            min: [line(x, 0), line(y, 1), lo],
-            max: [line(x + cells, 0), line(y + cells, 1), hi],
+            min: std::array::from_fn(|i| min[i] - (eyes.hi_m[i] - eye_m[i])),
+            max: std::array::from_fn(|i| max[i] - (eyes.lo_m[i] - eye_m[i])),
         };
         let frustum = &self.sight.frustum;
         match (frustum.may_see(&region), frustum.sees_all(&region)) {
@@ -233,27 +256,29 @@ impl<'a> Pass<'a> {
         let heights = around.heights(sketch, rest.map_or(0.0, |rest| around.wider(rest)));
         let outlines = rest.is_some() && sketch.has_holes;
         let more = rest.filter(|_| !outlines).map_or(0.0, metres);
-        let (columns, rows) = (
-            Axis::new(&around.columns, more),
-            Axis::new(&around.rows, more),
-        );
+        let with_more;
+        let [columns, rows] = match more > 0.0 {
+            false => around.axes(),
+            true => {
+                with_more = around.axes_with(more);
+                &with_more
+            }
+        };
         let level = |(columns, rows), more: f32, by_level: bool| Level {
             sketch,
             columns,
             rows,
-            heights: heights.as_ref().map(|heights| heights.limits(more)),
-            by_level: by_level.then(|| {
-                let of_level = |level: usize| [sketch.rest[level]; PAGE_SQUARES];
-                Box::new(std::array::from_fn(of_level))
-            }),
+            heights: heights
+                .as_ref()
+                .map(|heights| heights.limits(depth.max(1), more)),
+            by_level,
         };
-        level((&columns, &rows), more, outlines).mark_to(depth, &mut found.marks);
+        level((columns, rows), more, outlines).mark_to(depth, &mut found.marks);
         if more > 0.0 {
             // Nor is anything beyond the tolerance of which fewer parts say that it is not.
             let mut most = Marks::default();
-            let columns = Axis::new(&around.columns, 0.0);
-            let rows = Axis::new(&around.rows, 0.0);
-            level((&columns, &rows), 0.0, true).mark_to(depth, &mut most);
+            let [columns, rows] = around.axes();
+            level((columns, rows), 0.0, true).mark_to(depth, &mut most);
             most.centres[0] = 1;
             found.marks.keep_common(&most);
         }
@@ -275,8 +300,8 @@ struct Level<'a> {
     columns: &'a Axis,
     rows: &'a Axis,
     heights: Option<[u16; PAGE_SQUARES]>,
-    /// If all that counts is what a number of parts says of all squares alike: that, by level.
-    by_level: Option<Box<[[u16; PAGE_SQUARES]; PAGE_LEVELS as usize]>>,
+    /// All that counts is what a number of parts says of all squares of a level alike.
+    by_level: bool,
 }
 
 impl Level<'_> {
@@ -294,17 +319,17 @@ impl Level<'_> {
         }
     }
 
-    /// What is believed of the squares of a level.
-    fn codes<'a>(&'a self, known: &'a [u16; PAGE_SQUARES], level: u8) -> &'a [u16; PAGE_SQUARES] {
-        match &self.by_level {
-            Some(rest) => &rest[usize::from(level)],
-            None => known,
-        }
-    }
-
     /// Marks what fails among the squares of a level.
     fn mark<const N: usize>(&self, level: u8, marks: &mut Marks) {
         let at = first(level)..first(level) + N * N;
+        let alike = [self.sketch.rest[usize::from(level)]; 64];
+        let codes = |known| match self.by_level {
+            true => &alike[..N * N],
+            false => {
+                let known: &[u16; PAGE_SQUARES] = known;
+                &known[at.clone()]
+            }
+        };
         let (x, y) = (self.columns.halves::<N>(), self.rows.halves::<N>());
         let heights = self.heights.as_ref().map(|heights| &heights[at.clone()]);
         let edges = [
@@ -314,30 +339,47 @@ impl Level<'_> {
             (&x.whole, &y.lower),
         ];
         for (edge, (x, y)) in edges.into_iter().enumerate() {
-            let codes = self.codes(&self.sketch.edges[edge], level);
-            marks.edges[usize::from(level)][edge] |= squares(&codes[at.clone()], x, y, heights);
+            let codes = codes(&self.sketch.edges[edge]);
+            marks.edges[usize::from(level)][edge] |= squares(codes, x, y, heights);
         }
         if level > 0 {
-            let codes = self.codes(&self.sketch.halves, level);
-            let found = squares(&codes[at], &x.whole, &y.whole, heights);
+            let codes = codes(&self.sketch.halves);
+            let found = squares(codes, &x.whole, &y.whole, heights);
             marks.centres[usize::from(level)] |= found;
         }
     }
 }
 
 impl Around {
+    /// Limits of columns and rows.
+    fn axes(&self) -> &[Axis; 2] {
+        self.axes.get_or_init(|| self.axes_with(0.0))
+    }
+
+    /// The same if `more` is added to every error.
+    fn axes_with(&self, more: f32) -> [Axis; 2] {
+        [Axis::new(&self.columns, more), Axis::new(&self.rows, more)]
+    }
+
     /// How far a square, `cells` of the page wide, is to the side.
     fn flat_of(&self, column: usize, row: usize, cells: usize) -> f32 {
-        let along = |lines: &[f32; PAGE_SAMPLES], i: usize| {
-            lines[i * cells].max(-lines[(i + 1) * cells]).max(0.0)
-        };
+        let along = |lines: &Lines, i: usize| lines.between(i * cells, (i + 1) * cells);
         along(&self.columns, column).max(along(&self.rows, row))
+    }
+
+    /// How far heights are above the eye.
+    fn over(&self, lo: u8) -> f32 {
+        self.base[0] + self.step * f32::from(lo)
+    }
+
+    /// How far heights are below the eye.
+    fn under(&self, hi: u8) -> f32 {
+        -(self.base[1] + self.step * f32::from(hi))
     }
 
     /// How far heights are above or below, at least.
     fn above(&self, [lo, hi]: [u8; 2]) -> f32 {
-        let height = |code: u8| self.base + self.step * f32::from(code);
-        (height(lo).max(-height(hi)) - self.slack).max(0.0)
+        (self.over(lo).max(self.under(hi)) - self.slack).max(0.0)
     }
 
     /// By how much heights may be farther out while this bound is what is believed: by the bound,
@@ -352,14 +394,26 @@ impl Around {
 
     /// How far the page is, at least.
     fn nearest(&self, sketch: &Sketch) -> f32 {
-        self.flat.max(self.above([sketch.lo[0], sketch.hi[0]]))
+        match sketch.is_empty() {
+            true => self.flat,
+            false => self.flat.max(self.above([sketch.lo[0], sketch.hi[0]])),
+        }
     }
 
-    /// The heights of a page, unless all of it is farther to the side than up or down.
+    /// How far any of the page is, at most.
+    fn farthest(&self, sketch: &Sketch) -> f32 {
+        let last = PAGE_SAMPLES - 1;
+        let end = |lines: &Lines| lines.beyond[last].max(lines.before[0]);
+        let flat = end(&self.columns).max(end(&self.rows));
+        let high = self.over(sketch.hi[0]).max(self.under(sketch.lo[0]));
+        flat.max(high).max(0.0)
+    }
+
+    /// The heights of a page, unless all of it is farther to the side than up or down, or it has
+    /// none: a client that has not all of it takes heights for heights of the surface.
     fn heights<'a>(&'a self, sketch: &'a Sketch, wider: f32) -> Option<Heights<'a>> {
-        let height = |code: u8| self.base + self.step * f32::from(code);
-        let farthest = height(sketch.hi[0]).max(-height(sketch.lo[0])) + self.slack;
-        let counts = farthest > self.flat;
+        let farthest = self.over(sketch.hi[0]).max(self.under(sketch.lo[0])) + self.slack;
+        let counts = farthest > self.flat && !sketch.is_empty();
         let of_page = sketch.has_holes && wider > 0.0;
         counts.then_some(Heights {
             around: self,
@@ -379,17 +433,20 @@ impl Around {
         if heights.of_page || code < limit(lowest) {
             return code >= limit(lowest);
         }
-        let (columns, rows) = (Axis::new(&self.columns, 0.0), Axis::new(&self.rows, 0.0));
+        if code >= limit(self.farthest(sketch)) {
+            return true;
+        }
+        let [columns, rows] = self.axes();
         if level == PAGE_LEVELS {
             let limits = heights.cell_limits(0.0);
-            return any::<PAGE_CELLS>(code, &columns, &rows, &limits);
+            return any::<PAGE_CELLS>(code, columns, rows, &limits);
         }
-        let limits = heights.limits(0.0);
+        let limits = heights.limits(level + 1, 0.0);
         let limits = &limits[first(level)..];
         match level {
-            1 => any::<2>(code, &columns, &rows, limits),
-            2 => any::<4>(code, &columns, &rows, limits),
-            _ => any::<8>(code, &columns, &rows, limits),
+            1 => any::<2>(code, columns, rows, limits),
+            2 => any::<4>(code, columns, rows, limits),
+            _ => any::<8>(code, columns, rows, limits),
         }
     }
 }
@@ -402,10 +459,12 @@ fn any<const N: usize>(code: u16, columns: &Axis, rows: &Axis, heights: &[u16]) 
 }
 
 impl Heights<'_> {
-    /// Limits of the heights of squares; `more` is added to every error.
-    fn limits(&self, more: f32) -> [u16; PAGE_SQUARES] {
+    /// Limits of the heights of squares of so many levels; `more` is added to every error.
+    fn limits(&self, levels: u8, more: f32) -> [u16; PAGE_SQUARES] {
         let mut limits = [0; PAGE_SQUARES];
-        self.fill(&mut limits, (&self.sketch.lo, &self.sketch.hi), more);
+        let end = first(levels);
+        let ranges = (&self.sketch.lo[..end], &self.sketch.hi[..end]);
+        self.fill(&mut limits[..end], ranges, more);
         limits
     }
 
@@ -413,18 +472,13 @@ impl Heights<'_> {
     fn cell_limits(&self, more: f32) -> [u16; PAGE_SLOTS] {
         let mut limits = [0; PAGE_SLOTS];
         match &self.sketch.cells {
-            Some(cells) => self.fill(&mut limits, (&cells.lo, &cells.hi), more),
+            Some(cells) => self.fill(&mut limits, (&cells.lo[..], &cells.hi[..]), more),
             None => limits.fill(self.limit(self.sketch.lo[0], self.sketch.hi[0], more)),
         }
         limits
     }
 
-    fn fill<const N: usize>(
-        &self,
-        limits: &mut [u16; N],
-        (lo, hi): (&[u8; N], &[u8; N]),
-        more: f32,
-    ) {
+    fn fill(&self, limits: &mut [u16], (lo, hi): (&[u8], &[u8]), more: f32) {
         if self.of_page {
             return limits.fill(self.limit(self.sketch.lo[0], self.sketch.hi[0], more));
         }
@@ -434,8 +488,7 @@ impl Heights<'_> {
     }
 
     fn limit(&self, lo: u8, hi: u8, more: f32) -> u16 {
-        let height = |code: u8| self.around.base + self.around.step * f32::from(code);
-        let away = height(lo).max(-height(hi)) - self.around.slack;
+        let away = self.around.over(lo).max(self.around.under(hi)) - self.around.slack;
         limit_with((away - self.wider).max(0.0), more)
     }
 }

@@ -145,7 +145,8 @@ impl Gate {
     /// Whether a request may be answered past the middleware, as that would change nothing: all
     /// is open to everyone, from every web page, and the request has no name.
     pub(crate) fn lets_pass<B>(&self, request: &axum::http::Request<B>) -> bool {
-        !request.headers().contains_key(REQUEST_ID) && self.access().is_open()
+        let (headers, access) = (request.headers(), self.access());
+        !headers.contains_key(REQUEST_ID) && access.is_open() && access.hosts.allow(headers)
     }
 
     /// Counts a request that is answered past the middleware. False if its address has had too
@@ -225,7 +226,16 @@ fn refusal(
     dataset: Option<&str>,
     request: &Request,
 ) -> Option<Response> {
-    let probe = ["/healthz", "/readyz"].contains(&request.uri().path());
+    let path = request.uri().path();
+    if !gate.access().hosts.allow(request.headers()) {
+        return Some(misdirected());
+    }
+    if percent_decoded(path).is_none() {
+        // Nothing here has such a name.
+        let error = format!("there is no {path} here: it is no UTF-8");
+        return Some(Problem::plain(StatusCode::NOT_FOUND, error).into_response());
+    }
+    let probe = ["/healthz", "/readyz"].contains(&path);
     if let Some(ip) = caller.address.filter(|_| !probe)
         && let Err(wait) = gate.request(ip)
     {
@@ -234,6 +244,24 @@ fn refusal(
     // What is allowed is asked without a token; the answer has no data.
     let dataset = dataset.filter(|_| request.method() != Method::OPTIONS)?;
     caller.opens(dataset).err().map(|why| denied(dataset, why))
+}
+
+/// Status 421 (RFC 9110, section 15.5.20).
+fn misdirected() -> Response {
+    let problem = Problem {
+        allowed: [
+            "localhost",
+            "an IP address",
+            "what `hosts` in the settings names",
+        ]
+        .map(Into::into)
+        .into(),
+        ..Problem::plain(
+            StatusCode::MISDIRECTED_REQUEST,
+            "this server is not addressed by the name in Host",
+        )
+    };
+    problem.into_response()
 }
 
 /// Status 429.

@@ -20,7 +20,7 @@ fn rule(datasets: &str, tokens: Option<&[&str]>, origins: Option<&[&str]>) -> Ru
 fn access(rules: impl Into<Vec<Rule>>) -> Access {
     Access {
         rules: rules.into(),
-        origins: Origins::Any,
+        ..Access::default()
     }
 }
 

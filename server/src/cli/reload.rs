@@ -74,7 +74,7 @@ impl Reload {
         notify::tell("READY=1");
     }
 
-    /// Rules and origins are taken on; for the rest, the server is to be started anew.
+    /// Rules, origins and hosts are taken on; for the rest, the server is to be started anew.
     fn take(&mut self, config: Config) {
         let access = match config.access() {
             Ok(access) => access,
@@ -82,11 +82,11 @@ impl Reload {
         };
         tracing::info!(
             rules = access.rules.len(),
-            "rules of access and origins read again"
+            "rules of access, origins and hosts read again"
         );
         self.rules.send_replace(Some(access));
         let mut others = self.config.changes(&config);
-        others.retain(|name| name != "origins");
+        others.retain(|name| !["origins", "hosts"].contains(&name.as_str()));
         if !others.is_empty() {
             tracing::warn!(settings = ?others, "changed, and taken on at the next start only");
         }

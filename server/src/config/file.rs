@@ -22,6 +22,7 @@ struct Content {
     tls_cert: Option<Spanned<PathBuf>>,
     tls_key: Option<Spanned<PathBuf>>,
     origins: Option<Spanned<Vec<String>>>,
+    hosts: Option<Spanned<Vec<String>>>,
     trusted_proxies: Option<Spanned<Vec<String>>>,
     limit_loopback: Option<Spanned<bool>>,
     log_format: Option<Spanned<LogFormat>>,
@@ -129,6 +130,10 @@ impl File {
 
     pub(super) fn origins(&self) -> Found<Vec<String>> {
         self.found(&self.content.origins)
+    }
+
+    pub(super) fn hosts(&self) -> Found<Vec<String>> {
+        self.found(&self.content.hosts)
     }
 
     pub(super) fn trusted_proxies(&self) -> Found<Vec<String>> {

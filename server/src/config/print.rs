@@ -48,6 +48,7 @@ impl Config {
             line("tls_cert", &self.tls_cert, path),
             line("tls_key", &self.tls_key, path),
             line("origins", &self.origins, |value| Some(list(value))),
+            line("hosts", &self.hosts, |value| Some(list(value))),
             line("trusted_proxies", &self.trusted_proxies, |value| {
                 Some(list(value))
             }),

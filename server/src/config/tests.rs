@@ -217,6 +217,24 @@ fn what_cannot_be_is_told_with_file_line_and_what_is_allowed() {
         origin.starts_with("origins (escarp.toml:1): the origin \"map.example\"; allowed are"),
         "{origin}"
     );
+    let host = refused("hosts = [\"map.example:80\"]\n");
+    assert!(
+        host.starts_with("hosts (escarp.toml:1): the host \"map.example:80\"; allowed are"),
+        "{host}"
+    );
+    assert_eq!(
+        refused("listen = \"here\"\n"),
+        "listen (escarp.toml:1): \"here\"; allowed is HOST:PORT, such as 127.0.0.1:8787 or \
+         [::]:8787"
+    );
+    assert_eq!(
+        refused("metrics_listen = \":99999\"\n").split(';').next(),
+        Some("metrics_listen (escarp.toml:1): \":99999\"")
+    );
+    assert_eq!(
+        refused("listen = \"[::]:80\"\nmetrics_listen = \"[::]:80\"\n"),
+        "metrics_listen (escarp.toml:2): [::]:80, which is that of `listen`, too; give another one"
+    );
     let proxy = refused("trusted_proxies = [\"10.0.0.0/99\"]\n");
     assert!(
         proxy.starts_with("trusted_proxies (escarp.toml:1): the proxy \"10.0.0.0/99\""),
@@ -265,6 +283,24 @@ fn flags_and_variables_that_cannot_be_are_told_by_name() {
     };
     let missing = with(&flags, &[]).unwrap_err().to_string();
     assert!(missing.starts_with("/no/such/file.toml: "), "{missing}");
+}
+
+#[test]
+fn where_only_this_machine_can_connect_it_is_addressed_by_its_own_names_alone() {
+    let hosts = |text: &str| Desk::new(text).read().unwrap().hosts().unwrap();
+    for local in ["", "listen = \"[::1]:1\"\n", "listen = \"localhost:1\"\n"] {
+        assert_eq!(hosts(local), Hosts::local(), "{local}");
+    }
+    for open in [
+        "listen = \"[::]:1\"\n",
+        "listen = \"terrain.example:1\"\n",
+        "trusted_proxies = [\"::1\"]\n",
+        "hosts = [\"*\"]\n",
+    ] {
+        assert_eq!(hosts(open), Hosts::Any, "{open}");
+    }
+    let named = Hosts::parse(&["a.example"]).unwrap();
+    assert_eq!(hosts("hosts = [\"a.example\"]\n"), named);
 }
 
 #[test]

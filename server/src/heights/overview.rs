@@ -55,6 +55,11 @@ pub fn overview(
     let whole = last.map(|last| [0.0, last]);
     let levels = pages.manifest().grid_levels.get();
     let bits = Window::stride_bits(whole, bits, levels, limits.window_samples);
+    // A stride that has few samples in each page reads many of them. A picture that is less sharp
+    // is better than none.
+    let grid = pages.manifest().grid_levels;
+    let fits = |bits: &u8| Window::pages(whole, *bits, grid) <= limits.pages;
+    let bits = (bits..levels).find(fits).unwrap_or(bits);
     let window = Window::read(pages, whole, bits, false)?;
     let quantum_m = pages.manifest().georef.quantum_m;
     let heights = heights(&window, last, size_px, quantum_m);

@@ -3,8 +3,9 @@
 use super::surface::{Cell, present, rises};
 use super::walk::{Relief, Top};
 use super::{HeightError, Pages};
-use escarp_proto::geometry::{PAGE_CELLS, PAGE_LEVELS, PAGE_SAMPLES, PageId};
+use escarp_proto::geometry::{GridLevels, PAGE_CELLS, PAGE_LEVELS, PAGE_SAMPLES, PageId};
 use escarp_proto::page::{Bounds, Kind, Page};
+use std::ops::RangeInclusive;
 
 /// Heights every `2^stride_bits` samples, and what is known between them.
 pub struct Window {
@@ -74,6 +75,18 @@ impl Window {
         (stride_bits..coarsest).find(fits).unwrap_or(coarsest)
     }
 
+    /// Pages that a window reads at most, those included that have no record and follow from the
+    /// ones above.
+    pub fn pages(rectangle: [[f64; 2]; 2], stride_bits: u8, grid: GridLevels) -> u64 {
+        let (first, cells) = cells_of(rectangle, stride_bits);
+        let (_, depth) = place_of(stride_bits, grid);
+        let along =
+            pages_of(first, cells, depth).map(|pages| u64::from(pages.end() - pages.start()) + 1);
+        let read = along[0] * along[1];
+        // Row by row, one above for each 16, and so on; and at the ends of rows.
+        read + read / 8 + 2 * along[1] * u64::from(grid.get() / PAGE_LEVELS)
+    }
+
     /// Reads a window over a rectangle of the grid. With `bounds`, what is known between the
     /// samples of coarse cells is derived, too.
     ///
@@ -97,15 +110,10 @@ impl Window {
             bounds: with_bounds.then(|| vec![NO_CELL; cells[0] as usize * cells[1] as usize]),
             tops: Vec::new(),
         };
-        // Cells are the squares of this level; they lie in pages `depth` levels above.
-        let level = pages.grid().get() - stride_bits;
-        let depth = (level - 1) % PAGE_LEVELS + 1;
-        let pages_along = |axis: usize| {
-            let last = first[axis] + cells[axis] - 1;
-            first[axis] >> depth..=last >> depth
-        };
-        for y in pages_along(1) {
-            for x in pages_along(0) {
+        let (level, depth) = place_of(stride_bits, pages.grid());
+        let [columns, rows] = pages_of(first, cells, depth);
+        for y in rows {
+            for x in columns.clone() {
                 if let Some(id) = PageId::new(level - depth, x, y) {
                     let page = pages.page(id)?;
                     window.take(&page, depth);
@@ -321,6 +329,20 @@ fn cells_of(rectangle: [[f64; 2]; 2], stride_bits: u8) -> ([u32; 2], [u32; 2]) {
     let first = [0, 1].map(|axis: usize| ((rectangle[axis][0] / side) as u32).min(ends[axis] - 1));
     let cells = [0, 1].map(|axis: usize| ends[axis] - first[axis]);
     (first, cells)
+}
+
+/// The level of squares that are a window's cells, and how many levels above it their pages are.
+fn place_of(stride_bits: u8, grid: GridLevels) -> (u8, u8) {
+    let level = grid.get() - stride_bits;
+    (level, (level - 1) % PAGE_LEVELS + 1)
+}
+
+/// Columns and rows of the pages that hold cells, `depth` levels below.
+fn pages_of(first: [u32; 2], cells: [u32; 2], depth: u8) -> [RangeInclusive<u32>; 2] {
+    [0, 1].map(|axis: usize| {
+        let last = first[axis] + cells[axis] - 1;
+        first[axis] >> depth..=last >> depth
+    })
 }
 
 /// A window as the quadtree that its lines of sight pass.

@@ -4,15 +4,17 @@
 //! Whatever is in the system's memory is answered at once, on the thread that read the request.
 
 use super::address::{Address, Place, What};
-use super::conditions::{Verdict, verdict};
+use super::give::give;
+use super::kept::{Content, Thing};
 use super::{App, Problem, cors};
 use crate::catalog::{Hosted, percent_encoded};
-use crate::source::{AtOnce, GenerationId, PageSource, SourceError};
-use axum::body::{Body, Bytes};
+use crate::published::Published;
+use crate::source::{AtOnce, GenerationId, SourceError};
+use axum::body::Bytes;
 use axum::extract::{Path, Request, State};
-use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, header};
+use axum::http::{HeaderMap, Method, StatusCode, header};
 use axum::response::{IntoResponse, Response};
-use escarp_proto::geometry::{GridLevels, PAGE_LEVELS, PageId};
+use escarp_proto::geometry::{GridLevels, PAGE_LEVELS};
 use serde_json::json;
 use std::sync::Arc;
 
@@ -23,22 +25,15 @@ const REVALIDATED: &str = "no-cache";
 /// Of what says which generation is current: caches keep it for a moment.
 const BRIEF: &str = "public, max-age=5, must-revalidate";
 
-/// The checksum that names a content, and the content.
-type Content = (u32, Bytes);
+const BYTES: &str = "application/octet-stream";
+const JSON: &str = "application/json";
 
 /// What is asked for, of a generation that is hosted.
 struct Asked {
-    source: Arc<dyn PageSource>,
+    published: Arc<Published>,
     what: Thing,
     /// Whether the address names the generation.
     immutable: bool,
-}
-
-#[derive(Clone, Copy)]
-enum Thing {
-    Manifest,
-    Page(PageId),
-    Pack(PageId),
 }
 
 /// Answers a request for a dataset's bytes.
@@ -48,9 +43,9 @@ pub(super) async fn data(State(app): State<App>, request: Request) -> Response {
         Ok(None) => return Problem::unknown(&app, request.uri().path()).into_response(),
         Err(problem) => return problem.into_response(),
     };
-    let content = match asked.at_once() {
+    let content = match asked.at_once(&app) {
         Some(content) => content,
-        None => asked.wait().await,
+        None => asked.kept(&app, asked.wait().await),
     };
     asked.answer(request.method(), request.headers(), content)
 }
@@ -62,7 +57,7 @@ pub(super) fn at_once<B>(app: &App, request: &axum::http::Request<B>) -> Option<
         return None;
     }
     let asked = asked(app, request.uri().path()).ok()??;
-    let content = asked.at_once()?.ok()??;
+    let content = asked.at_once(app)?.ok()??;
     let mut response = asked.answer(method, request.headers(), Ok(Some(content)));
     cors::label(response.headers_mut());
     Some(response)
@@ -77,10 +72,9 @@ pub(super) async fn current(
     let hosted = app.hosted(&name)?;
     let id = hosted.source().generation_id();
     let body = serde_json::to_vec(&addresses(&hosted, id)).unwrap_or_default();
+    let content = Content::named(&id.to_string(), body.into());
     let (method, headers) = (request.method(), request.headers());
-    let kind = "application/json";
-    let tag = format!("\"{id}\"");
-    Ok(give(method, headers, (tag, kind, BRIEF), body.into()))
+    Ok(give(method, headers, content, (JSON, BRIEF)))
 }
 
 /// Paths, so that they are the same for every client, whatever proxies stand between.
@@ -102,9 +96,10 @@ fn asked(app: &App, path: &str) -> Result<Option<Asked>, Problem> {
         return Ok(None);
     };
     let hosted = app.hosted(&address.name)?;
-    let source = hosted.source();
+    let published = hosted.published();
+    let source = published.source();
     if let Some(id) = address.generation
-        && !names(id, source.generation_id())
+        && id != published.id()
     {
         return Err(not_current(&hosted, id, source.generation_id()));
     }
@@ -120,36 +115,50 @@ fn asked(app: &App, path: &str) -> Result<Option<Asked>, Problem> {
     };
     Ok(Some(Asked {
         what,
-        source,
+        published,
         immutable: address.generation.is_some(),
     }))
 }
 
-/// Whether a text is this id.
-fn names(text: &str, id: GenerationId) -> bool {
-    text.parse() == Ok(id)
-}
-
 impl Asked {
     /// What is asked for, if that is in memory.
-    fn at_once(&self) -> Option<Result<Option<Content>, SourceError>> {
-        let source = self.source.as_ref();
-        match self.what {
+    fn at_once(&self, app: &App) -> Option<Result<Option<Content>, SourceError>> {
+        let known = app.kept.get(self.published.number(), self.what);
+        if known.is_some() {
+            return Some(Ok(known));
+        }
+        let source = self.published.source().as_ref();
+        let found = match self.what {
             Thing::Manifest => {
                 let json = Bytes::copy_from_slice(source.manifest_json());
-                Some(Ok(Some((source.generation_id().checksum, json))))
+                Some(Ok(Some(Content::of(source.generation_id().checksum, json))))
             }
             Thing::Page(page) => content(source.record_at_once(page), |r| (r.revision, r.bytes)),
             Thing::Pack(page) => content(source.pack_at_once(page), |p| (p.checksum, p.bytes)),
+        };
+        found.map(|found| self.kept(app, found))
+    }
+
+    /// The same; it is kept for those who ask for it next.
+    fn kept(
+        &self,
+        app: &App,
+        found: Result<Option<Content>, SourceError>,
+    ) -> Result<Option<Content>, SourceError> {
+        if let Ok(Some(content)) = &found {
+            app.kept.keep(self.published.number(), self.what, content);
         }
+        found
     }
 
     /// What is asked for, read off the async threads.
     async fn wait(&self) -> Result<Option<Content>, SourceError> {
-        let (source, what) = (self.source.clone(), self.what);
+        let (source, what) = (self.published.source().clone(), self.what);
         let read = move || match what {
-            Thing::Page(page) => Ok(source.record(page)?.map(|r| (r.revision, r.bytes))),
-            Thing::Pack(page) => Ok(source.pack(page)?.map(|p| (p.checksum, p.bytes))),
+            Thing::Page(page) => Ok(source
+                .record(page)?
+                .map(|r| Content::of(r.revision, r.bytes))),
+            Thing::Pack(page) => Ok(source.pack(page)?.map(|p| Content::of(p.checksum, p.bytes))),
             // It is always at hand.
             Thing::Manifest => Ok(None),
         };
@@ -168,10 +177,9 @@ impl Asked {
         headers: &HeaderMap,
         content: Result<Option<Content>, SourceError>,
     ) -> Response {
-        let (kind, subject) = match self.what {
-            Thing::Manifest => ("application/json", "the manifest".to_owned()),
-            Thing::Page(page) => (BYTES, format!("page {page}")),
-            Thing::Pack(page) => (BYTES, format!("the children of page {page}")),
+        let kind = match self.what {
+            Thing::Manifest => JSON,
+            Thing::Page(_) | Thing::Pack(_) => BYTES,
         };
         let caching = if self.immutable {
             IMMUTABLE
@@ -179,11 +187,9 @@ impl Asked {
             REVALIDATED
         };
         match content {
-            Ok(Some((checksum, bytes))) => {
-                let tag = format!("\"{checksum:08x}\"");
-                give(method, headers, (tag, kind, caching), bytes)
-            }
+            Ok(Some(content)) => give(method, headers, content, (kind, caching)),
             Ok(None) => {
+                let subject = self.subject();
                 let text =
                     format!("no record is stored for {subject}: it is flat, empty, or no data");
                 let problem = Problem::plain(StatusCode::NOT_FOUND, text);
@@ -191,6 +197,7 @@ impl Asked {
                 ([(header::CACHE_CONTROL, caching)], problem).into_response()
             }
             Err(error) => {
+                let subject = self.subject();
                 tracing::debug!(subject, %error, "not sent");
                 let text = format!("{subject}: {}", for_clients(&error));
                 let status = StatusCode::INTERNAL_SERVER_ERROR;
@@ -198,15 +205,26 @@ impl Asked {
             }
         }
     }
-}
 
-const BYTES: &str = "application/octet-stream";
+    /// What is asked for, in words.
+    fn subject(&self) -> String {
+        match self.what {
+            Thing::Manifest => "the manifest".into(),
+            Thing::Page(page) => format!("page {page}"),
+            Thing::Pack(page) => format!("the children of page {page}"),
+        }
+    }
+}
 
 fn content<T>(
     found: AtOnce<T>,
-    of: impl Fn(T) -> Content,
+    of: impl Fn(T) -> (u32, Bytes),
 ) -> Option<Result<Option<Content>, SourceError>> {
-    Some(found?.map(|found| found.map(of)))
+    let content = |found| {
+        let (checksum, bytes) = of(found);
+        Content::of(checksum, bytes)
+    };
+    Some(found?.map(|found| found.map(content)))
 }
 
 /// Where files lie is the host's business.
@@ -215,52 +233,6 @@ fn for_clients(error: &SourceError) -> &'static str {
         SourceError::Damaged { .. } => "damaged on the server",
         SourceError::Read { .. } => "cannot be read on the server",
     }
-}
-
-/// Gives a content, or as much of it as the request's conditions allow.
-fn give(
-    method: &Method,
-    headers: &HeaderMap,
-    (tag, kind, caching): (String, &'static str, &'static str),
-    bytes: Bytes,
-) -> Response {
-    let length = bytes.len();
-    let verdict = verdict(method, headers, &tag, length);
-    let (status, body) = match &verdict {
-        Verdict::Whole => (StatusCode::OK, bytes),
-        Verdict::Part(range) => (StatusCode::PARTIAL_CONTENT, bytes.slice(range.clone())),
-        Verdict::NotModified => (StatusCode::NOT_MODIFIED, Bytes::new()),
-        Verdict::PreconditionFailed => return precondition_failed(&tag),
-        Verdict::NotSatisfiable => return not_satisfiable(length),
-    };
-    let mut response = Response::new(Body::from(body));
-    *response.status_mut() = status;
-    let own = response.headers_mut();
-    let tag = HeaderValue::try_from(tag);
-    own.extend(tag.map(|tag| (header::ETAG, tag)));
-    own.insert(header::CACHE_CONTROL, HeaderValue::from_static(caching));
-    if status != StatusCode::NOT_MODIFIED {
-        own.insert(header::CONTENT_TYPE, HeaderValue::from_static(kind));
-        own.insert(header::ACCEPT_RANGES, HeaderValue::from_static("bytes"));
-    }
-    if let Verdict::Part(range) = verdict {
-        let part = format!("bytes {}-{}/{length}", range.start, range.end - 1);
-        let part = HeaderValue::try_from(part);
-        own.extend(part.map(|part| (header::CONTENT_RANGE, part)));
-    }
-    response
-}
-
-fn precondition_failed(tag: &str) -> Response {
-    let text = format!("it is {tag}, not what If-Match names");
-    Problem::plain(StatusCode::PRECONDITION_FAILED, text).into_response()
-}
-
-fn not_satisfiable(length: usize) -> Response {
-    let text = format!("there are {length} bytes, and none in that range");
-    let problem = Problem::plain(StatusCode::RANGE_NOT_SATISFIABLE, text);
-    let range = [(header::CONTENT_RANGE, format!("bytes */{length}"))];
-    (range, problem).into_response()
 }
 
 /// Status 410 for a generation that was, 404 for one that is not known; with the current one.

@@ -24,8 +24,15 @@ use std::sync::Arc;
 
 /// What can be done to the addresses that take lists of points.
 const METHODS: &str = "GET, HEAD, POST, OPTIONS";
-/// Height of an observer's eye above the ground unless told otherwise, metres.
-const EYE_M: f64 = 2.0;
+/// What every request about sight may say.
+const SIGHTING: [&str; 6] = [
+    "observer",
+    "observer_height",
+    "target_height",
+    "crs",
+    "curvature",
+    "refraction",
+];
 /// Samples of a profile unless told otherwise.
 const PROFILE_SAMPLES: usize = 100;
 /// Pixels on a side of a viewshed unless told otherwise.
@@ -186,25 +193,10 @@ async fn sight(
     RawQuery(query): RawQuery,
 ) -> Result<Response, Refused> {
     let source = app.hosted(&name)?.source();
-    let query = Query::parse(
-        query,
-        &[
-            "observer",
-            "target",
-            "observer_height",
-            "target_height",
-            "crs",
-            "curvature",
-            "refraction",
-        ],
-    )?;
+    let query = Query::parse(query, &[&SIGHTING[..], &["target"]].concat())?;
     let kind = query.kind()?;
     let points = [query.pair("observer")?, query.pair("target")?];
-    let above_ground_m = [
-        query.above_ground("observer_height", EYE_M)?,
-        query.above_ground("target_height", 0.0)?,
-    ];
-    let curvature = query.curvature()?;
+    let (above_ground_m, curvature) = query.sighting()?;
     let most = app.limits.heights.clone();
     let found = gates.request(move |cancelled| {
         let frame = Frame::of(source.manifest(), kind)?;
@@ -233,30 +225,14 @@ async fn viewshed(
     RawQuery(query): RawQuery,
 ) -> Result<Response, Refused> {
     let source = app.hosted(&name)?.source();
-    let query = Query::parse(
-        query,
-        &[
-            "observer",
-            "radius",
-            "observer_height",
-            "target_height",
-            "size",
-            "crs",
-            "resolution",
-            "curvature",
-            "refraction",
-        ],
-    )?;
+    let known = [&SIGHTING[..], &["radius", "size", "resolution"]].concat();
+    let query = Query::parse(query, &known)?;
     let kind = query.kind()?;
     let observer = query.pair("observer")?;
     let side_px = query.whole("size")?.unwrap_or(VIEWSHED_SIDE_PX);
     let radius_m = query.needed("radius")?;
     let resolution_m = query.number("resolution")?;
-    let above_ground_m = [
-        query.above_ground("observer_height", EYE_M)?,
-        query.above_ground("target_height", 0.0)?,
-    ];
-    let curvature = query.curvature()?;
+    let (above_ground_m, curvature) = query.sighting()?;
     let most = app.limits.heights.clone();
     let found = gates.image(move |cancelled| {
         let manifest = source.manifest();

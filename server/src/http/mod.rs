@@ -5,8 +5,10 @@ mod conditions;
 mod cors;
 mod data;
 mod describe;
+mod give;
 mod heights;
 mod index;
+mod kept;
 mod openapi;
 mod overview;
 mod problem;
@@ -24,6 +26,7 @@ use axum::response::{IntoResponse, Json, Response};
 use axum::routing::get;
 use axum::{Router, middleware};
 use describe::{Dataset, Datasets};
+pub(crate) use kept::Kept;
 pub(crate) use problem::Problem;
 pub(crate) use service::Service;
 use std::sync::Arc;
@@ -38,6 +41,7 @@ pub(crate) struct App {
     /// Whether `/metrics` is here, and not on an address of its own.
     pub counted: bool,
     pub limits: Arc<Limits>,
+    pub kept: Arc<Kept>,
 }
 
 impl App {
@@ -80,16 +84,19 @@ async fn datasets(
     State(app): State<App>,
     Extension(caller): Extension<Caller>,
     headers: HeaderMap,
-) -> Json<Datasets> {
+) -> Response {
     let host = host(&headers);
     let describe = |hosted: &Arc<Hosted>| Dataset::of(hosted, &caller, host);
-    Json(Datasets {
-        datasets: {
-            let all = app.catalog.all();
-            let seen = all.iter().filter(|hosted| caller.sees(hosted.name()));
-            seen.map(describe).collect()
-        },
-    })
+    let all = app.catalog.all();
+    let seen = all.iter().filter(|hosted| caller.sees(hosted.name()));
+    let datasets = seen.map(describe).collect();
+    described(Datasets { datasets })
+}
+
+/// What may be otherwise with the next generation, and names the server as this client does.
+fn described(what: impl serde::Serialize) -> Response {
+    let caching = [(header::CACHE_CONTROL, "no-cache"), (header::VARY, "host")];
+    (caching, Json(what)).into_response()
 }
 
 async fn dataset(
@@ -97,9 +104,9 @@ async fn dataset(
     Extension(caller): Extension<Caller>,
     Path(name): Path<String>,
     headers: HeaderMap,
-) -> Result<Json<Dataset>, Problem> {
+) -> Result<Response, Problem> {
     let hosted = app.hosted(&name)?;
-    Ok(Json(Dataset::of(&hosted, &caller, host(&headers))))
+    Ok(described(Dataset::of(&hosted, &caller, host(&headers))))
 }
 
 async fn unknown(State(app): State<App>, request: Request) -> Response {

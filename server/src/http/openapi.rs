@@ -19,7 +19,8 @@ fn description(app: &App) -> Value {
             "version": env!("CARGO_PKG_VERSION"),
             "description": "Terrain as pages, and heights for programs. Sessions that stream a \
                 view are described in proto/PROTOCOL.md, pages and manifests in tiles/FORMAT.md, \
-                heights in docs/heights.md. A dataset that has a token answers 401 without it.",
+                heights in docs/heights.md. A dataset that has a token answers 401 without it, and 403 with \
+                another.",
             "license": { "name": "MIT OR Apache-2.0", "identifier": "MIT OR Apache-2.0" }
         },
         "paths": paths(app),
@@ -38,6 +39,14 @@ fn paths(app: &App) -> Value {
             paths.extend(more);
         }
     }
+    for (path, operations) in paths.as_object_mut().into_iter().flatten() {
+        for operation in operations.as_object_mut().into_iter().flatten() {
+            let responses = &mut operation.1["responses"];
+            for status in shared(path) {
+                responses[status.to_string()] = error(status);
+            }
+        }
+    }
     if !app.counted
         && let Value::Object(paths) = &mut paths
     {
@@ -46,17 +55,46 @@ fn paths(app: &App) -> Value {
     paths
 }
 
+/// What any request for an address may be answered with, before it is looked at.
+fn shared(path: &str) -> Vec<u16> {
+    let mut statuses = vec![421];
+    // Those who ask how the server is are always answered.
+    if !["/healthz", "/readyz"].contains(&path) {
+        statuses.push(429);
+    }
+    if path.contains("{name}") {
+        statuses.extend([401, 403, 404]);
+    }
+    if path.contains("{generation}") {
+        statuses.push(410);
+    }
+    statuses
+}
+
+/// An answer that does not give what was asked for.
+fn error(status: u16) -> Value {
+    let description = match status {
+        304 => return json!({ "description": "The client has it already." }),
+        401 => "The dataset needs a token, and there was none; whether it is there is not said.",
+        403 => "The token opens another dataset, or the web page that asks is not allowed.",
+        404 => "There is nothing at this address; what there is.",
+        410 => "The generation is not hosted any more; which is current.",
+        421 => "The server is not addressed by the name in Host.",
+        429 => "Too much from one address; Retry-After says when to come again.",
+        503 => "All places are taken; Retry-After says when to come again.",
+        _ => "What was found, and what is allowed.",
+    };
+    json!({
+        "description": description,
+        "content": { "application/json": { "schema": reference("Problem") } }
+    })
+}
+
 /// One operation, whose errors are all of the same kind.
 fn operation(summary: &str, parameters: Vec<Value>, ok: Value, errors: &[u16]) -> Value {
     let mut responses = json!({ "200": ok });
     for status in errors {
-        responses[status.to_string()] = match status {
-            304 => json!({ "description": "The client has it already." }),
-            _ => json!({
-                "description": "What was found, and what is allowed.",
-                "content": { "application/json": { "schema": reference("Problem") } }
-            }),
-        };
+        responses[status.to_string()] = error(*status);
     }
     json!({ "summary": summary, "parameters": parameters, "responses": responses })
 }
@@ -112,17 +150,12 @@ fn server() -> Value {
         "Opens a session, by WebSocket (proto/PROTOCOL.md).",
         vec![],
         json!({}),
-        &[400, 426, 503],
+        &[400, 403, 426, 503],
     );
-    session["responses"] = json!({
-        "101": { "description": "A session." },
-        "400": { "description": "Not a WebSocket handshake.",
-            "content": { "application/json": { "schema": reference("Problem") } } },
-        "426": { "description": "Not an upgrade.",
-            "content": { "application/json": { "schema": reference("Problem") } } },
-        "503": { "description": "All sessions are taken.",
-            "content": { "application/json": { "schema": reference("Problem") } } }
-    });
+    if let Value::Object(responses) = &mut session["responses"] {
+        responses.remove("200");
+        responses.insert("101".into(), json!({ "description": "A session." }));
+    }
     let mut index = operation("What is hosted, for people.", vec![], json!({}), &[]);
     index["responses"]["200"] = json!({
         "description": "HTML where Accept prefers it, else text.",

@@ -93,6 +93,7 @@ pub static ENTRIES: &[Entry] = &[
     count!(sessions_per_address, 0, 1_000_000),
     count!(requests_per_second_per_address, 0, 1_000_000),
     count!(request_burst_per_address, 1, 1_000_000),
+    count!(kept_bytes, 0, 1_000_000_000_000_u64),
     count!(wanted_pages, 16, 1_000_000),
     count!(views_per_second, 1, 1000),
     count!(queued_replies, 16, 1_000_000),

@@ -3,7 +3,7 @@
 //! Only while the server keeps up: if the needs of the last view were not all sent when the next
 //! one came, the eye is faster than the line, and what lies ahead would come too late anyway.
 
-use escarp_proto::view::{FARTHEST_EYE_M, View};
+use escarp_proto::view::View;
 use std::time::Duration;
 
 /// What lies ahead is selected this often: it changes little from view to view.
@@ -47,11 +47,7 @@ impl Ahead {
     }
 
     fn later(&self, view: &View) -> View {
-        let seconds = self.horizon.as_secs_f64();
-        let eye_m = std::array::from_fn(|axis| {
-            let way_m = f64::from(view.velocity_m_s[axis]) * seconds;
-            (view.eye_m[axis] + way_m).clamp(-FARTHEST_EYE_M, FARTHEST_EYE_M)
-        });
+        let eye_m = view.eye_after(self.horizon.as_secs_f64());
         View { eye_m, ..*view }
     }
 

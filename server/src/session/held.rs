@@ -2,6 +2,7 @@
 
 use escarp_proto::geometry::PageId;
 use escarp_proto::page::SLOT_PART;
+use foldhash::fast::RandomState;
 use std::collections::HashSet;
 use std::hash::{Hash, Hasher};
 
@@ -22,7 +23,7 @@ pub(super) struct Held {
     limit: usize,
     /// Pages that are not evicted.
     count: usize,
-    pages: HashSet<Entry>,
+    pages: HashSet<Entry, RandomState>,
 }
 
 /// A page's key and, in the upper bits, its last part: 8 bytes a page, as there are many pages in
@@ -59,7 +60,7 @@ impl Held {
         Held {
             limit,
             count: 0,
-            pages: HashSet::new(),
+            pages: HashSet::default(),
         }
     }
 

@@ -14,6 +14,7 @@
 
 mod ahead;
 mod chunk;
+mod cover;
 mod held;
 mod open;
 mod push;
@@ -196,7 +197,7 @@ impl Session {
             if let State::Open(open) = &mut self.state
                 && let Some(message) = open.poll_reading()
             {
-                return Some(message.encode());
+                return Some(message.into_bytes());
             }
         }
     }
@@ -205,7 +206,7 @@ impl Session {
     pub fn poll_control(&mut self) -> Option<Vec<u8>> {
         match &mut self.state {
             State::Opening => None,
-            State::Open(open) => open.poll_control().map(|message| message.encode()),
+            State::Open(open) => open.poll_control().map(ServerMessage::into_bytes),
             State::Closed { reason, said } => match reason {
                 CloseReason::Server(error) if !std::mem::replace(said, true) => {
                     Some(ServerMessage::Error(error.clone()).encode())
@@ -213,6 +214,13 @@ impl Session {
                 _ => None,
             },
         }
+    }
+
+    /// Whether [`poll_message`](Self::poll_message) would make a selection, which takes longer than
+    /// anything else: the fewer go on at a time, the sooner each ends, and the less memory they take.
+    /// While it waits for its turn, the session may be told of newer views.
+    pub fn selects(&self) -> bool {
+        matches!(&self.state, State::Open(open) if open.selects())
     }
 
     /// Whether [`poll_message`](Self::poll_message) would read records.

@@ -5,6 +5,7 @@ mod pages;
 mod say;
 
 use super::ahead::Ahead;
+use super::cover::Cover;
 use super::held::Held;
 use super::push::Pushes;
 use super::queue::WantQueue;
@@ -42,8 +43,12 @@ pub(super) struct Open {
     changes: u32,
     /// The newest view is not selected for yet, or not to its end.
     select_due: bool,
+    /// The newest view may need more than was selected before.
+    uncovered: bool,
     /// The selection had no room for all needs.
     unfinished: bool,
+    /// The views for which nothing need be selected.
+    cover: Option<Cover>,
     /// Bytes sent before the newest selection.
     sent_before: u64,
     pub(super) views: ViewGate,
@@ -81,7 +86,9 @@ impl Open {
             most_pieces: limits.pushed_pages,
             changes: 0,
             select_due: false,
+            uncovered: false,
             unfinished: false,
+            cover: None,
             sent_before: 0,
             views: ViewGate::new(limits.views_per_second),
             held: Held::new(limits.held_pages),
@@ -161,6 +168,7 @@ impl Open {
         self.pushes.clear();
         self.held.clear();
         self.views.forget();
+        self.cover = None;
         self.select_due = false;
         self.idle_owed = false;
         self.stalled = false;

@@ -9,6 +9,7 @@ use super::queue::Wish;
 use escarp_proto::geometry::PageId;
 use escarp_proto::select::Need;
 use escarp_proto::wire::Class;
+use foldhash::fast::RandomState;
 use std::cmp::Ordering;
 use std::collections::HashMap;
 
@@ -151,15 +152,22 @@ fn keep_most_urgent(pieces: &mut Vec<Piece>, room: usize) -> bool {
 /// another class to a need, or none to one that is left out.
 fn cut(needs: &[Need], held: &Held, class_of: impl Fn(Class) -> Option<Class>) -> Vec<Piece> {
     let mut pieces = Vec::new();
-    let mut ranks: HashMap<PageId, Rank> = HashMap::with_capacity(needs.len());
+    // Of pages of which the client lacks something, and of those below them.
+    let mut ranks: HashMap<PageId, Rank, RandomState> = HashMap::default();
     // A selection lists parents first.
     for need in needs {
         let Some(class) = class_of(need.class) else {
             continue;
         };
-        let above = need.page.parent().and_then(|(page, _)| ranks.get(&page));
-        let mut rank = above.copied().unwrap_or(Rank::FIRST);
         let mut part = held.next_part(need.page);
+        if part > need.last_part && ranks.is_empty() {
+            continue;
+        }
+        let above = need.page.parent().and_then(|(page, _)| ranks.get(&page));
+        if part > need.last_part && above.is_none() {
+            continue;
+        }
+        let mut rank = above.copied().unwrap_or(Rank::FIRST);
         while part <= need.last_part {
             let excess = excess_at(need, part);
             rank = Rank { class, excess }.after(rank);

@@ -7,7 +7,9 @@ use std::time::Duration;
 /// A view, before it its sequence number, and what of the terrain is of use.
 pub(super) type Numbered = (u32, View, Scope);
 
-/// Lets a view through at most once an interval; of those that come sooner, keeps the newest.
+/// Lets a view through at most once an interval in the long run; of those that come sooner, keeps
+/// the newest. Views that come once an interval, more or less, pass when they come: one that was
+/// late does not hold up the next, if half an interval lies between them.
 #[derive(Debug)]
 pub(super) struct ViewGate {
     interval: Duration,
@@ -47,7 +49,7 @@ impl ViewGate {
             return false;
         };
         self.current = Some(view);
-        self.opens = now + self.interval;
+        self.opens = (self.opens + self.interval).max(now + self.interval / 2);
         true
     }
 
@@ -70,5 +72,45 @@ impl ViewGate {
     /// The view that is looked at.
     pub(super) fn current(&self) -> Option<Numbered> {
         self.current
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MS: Duration = Duration::from_millis(1);
+
+    fn view() -> View {
+        View {
+            eye_m: [0.0; 3],
+            direction: [0.0, 1.0, 0.0],
+            velocity_m_s: [0.0; 3],
+            fov_y: 1.0,
+            viewport_px: [640, 480],
+            max_screen_error_px: 2.0,
+        }
+    }
+
+    #[test]
+    fn views_that_come_as_often_as_they_may_more_or_less_are_looked_at_when_they_come() {
+        let mut gate = ViewGate::new(20);
+        for number in 1..200u32 {
+            let late = number * 7919 % 23;
+            let now = MS * (50 * number + late);
+            assert!(gate.receive((number, view(), Scope::All)));
+            assert!(gate.advance(now), "{number}, {late} ms late");
+        }
+    }
+
+    #[test]
+    fn of_views_that_come_too_often_no_more_than_announced_are_looked_at() {
+        let mut gate = ViewGate::new(20);
+        let mut passed = 0;
+        for number in 1..10_000u32 {
+            gate.receive((number, view(), Scope::All));
+            passed += u32::from(gate.advance(MS * number));
+        }
+        assert!((199..=201).contains(&passed), "{passed} in 10 s");
     }
 }

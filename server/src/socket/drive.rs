@@ -8,6 +8,7 @@ use super::Phase;
 use super::early::Early;
 use super::outgoing::Outgoing;
 use super::tally::Tally;
+use super::turns::Turns;
 use crate::catalog::Stand;
 use crate::limits::Limits;
 use crate::metrics::Metrics;
@@ -17,9 +18,12 @@ use axum::extract::ws::{CloseFrame, Message, WebSocket, close_code};
 use escarp_proto::wire::{ErrorCode, PeerError};
 use futures_util::StreamExt;
 use futures_util::stream::SplitStream;
+use std::error::Error;
+use std::sync::Arc;
 use std::time::Duration;
-use tokio::sync::watch;
+use tokio::sync::{Semaphore, watch};
 use tokio::time::{Instant, sleep_until, timeout};
+use tokio_tungstenite::tungstenite;
 
 /// Longest text of a close frame, bytes (RFC 6455, section 5.5, less the code).
 const CLOSE_TEXT: usize = 123;
@@ -31,6 +35,7 @@ pub(super) async fn drive(
     early: Early,
     limits: &Limits,
     phase: watch::Receiver<Phase>,
+    turns: Arc<Semaphore>,
     metrics: &Metrics,
 ) -> Option<CloseReason> {
     tracing::debug!("opened");
@@ -42,6 +47,7 @@ pub(super) async fn drive(
         outgoing: Outgoing::new(sink),
         incoming,
         reading: true,
+        turns: Turns::new(turns),
         limits,
         phase,
         stand: None,
@@ -82,6 +88,7 @@ struct Driver<'a> {
     incoming: SplitStream<WebSocket>,
     /// Whether the client's side is still open.
     reading: bool,
+    turns: Turns,
     limits: &'a Limits,
     phase: watch::Receiver<Phase>,
     /// Of the dataset that is looked at, once there is one.
@@ -138,7 +145,14 @@ impl Driver<'_> {
         if self.outgoing.since().is_some() {
             return Ok(());
         }
-        let (mut session, message, read) = next_message(self.session.take()).await?;
+        // Whoever waits for a turn still hears, so that it will be for the newest view. Whoever
+        // writes does not wait: others would wait for its client.
+        let selects = self.session().is_some_and(|session| session.selects());
+        let may_read = !selects || self.turns.come();
+        let (mut session, message, read) = next_message(self.session.take(), may_read).await?;
+        if may_read || message.is_some() {
+            self.turns.leave();
+        }
         let reason = session.close_reason().cloned();
         let now = self.now();
         if let Some(took) = self.tally.note(&session.stats(), read, now) {
@@ -164,9 +178,11 @@ impl Driver<'_> {
         let receive =
             self.reading && ready && self.session().is_some_and(|session| session.can_receive());
         let writing = self.outgoing.since().is_some();
+        let waits = self.turns.is_waiting();
         tokio::select! {
             sent = self.outgoing.progress(), if writing => sent.map_err(|error| lost(&error)),
             message = self.incoming.next(), if receive => self.handle(message),
+            () = self.turns.wait(), if waits => Ok(()),
             () = sleep_until(deadline) => self.handle_timeout(),
             changed = self.phase.changed() => {
                 // The sender lives as long as the server: without it, everything stops.
@@ -267,14 +283,23 @@ impl Driver<'_> {
                     "a text message; all messages are binary",
                 );
             }
-            Some(Ok(Message::Close(_))) | None => {
-                return Err(End::Lost("the client closed the connection".into()));
+            // Whoever says so with a close frame has ended the session, for whatever reason.
+            Some(Ok(Message::Close(frame))) => {
+                return Err(End::Closed(CloseReason::Client(PeerError {
+                    code: ErrorCode::ShuttingDown,
+                    text: frame.map_or_else(String::new, |frame| frame.reason.to_string()),
+                })));
             }
+            None => return Err(End::Lost("the client closed the connection".into())),
             Some(Err(error)) => {
                 // Either the connection is gone, or a frame is broken or far too long; then the
                 // client can still be told.
                 self.reading = false;
-                session.close(ErrorCode::Protocol, &error.to_string());
+                let code = match error.source().and_then(|error| error.downcast_ref()) {
+                    Some(tungstenite::Error::Capacity(_)) => ErrorCode::Limit,
+                    _ => ErrorCode::Protocol,
+                };
+                session.close(code, &error.to_string());
             }
         }
         Ok(())
@@ -297,13 +322,14 @@ impl Driver<'_> {
 /// A session, its next message, and how long reading records for it took.
 type Next = (Session, Option<Vec<u8>>, Option<Duration>);
 
-/// The session's next message, read on the blocking pool if records are needed.
-async fn next_message(session: Option<Session>) -> Result<Next, End> {
+/// The session's next message, read on the blocking pool if records are needed, and if that may
+/// be done now.
+async fn next_message(session: Option<Session>, may_read: bool) -> Result<Next, End> {
     let Some(mut session) = session else {
         return Err(End::Lost("a record could not be read".into()));
     };
     let control = session.poll_control();
-    if control.is_some() || !session.has_pages() {
+    if control.is_some() || !may_read || !session.has_pages() {
         return Ok((session, control, None));
     }
     let read = tokio::task::spawn_blocking(move || {

@@ -4,6 +4,7 @@ mod drive;
 mod early;
 mod outgoing;
 mod tally;
+mod turns;
 
 use crate::access::{Caller, too_many};
 use crate::http::{App, Problem};
@@ -43,6 +44,8 @@ pub(crate) enum Phase {
 pub(crate) struct Sessions {
     limits: Arc<Limits>,
     places: Arc<Semaphore>,
+    /// Turns for what takes long: one a processor.
+    turns: Arc<Semaphore>,
     phase: watch::Receiver<Phase>,
     opened: Arc<AtomicU64>,
 }
@@ -51,6 +54,7 @@ impl Sessions {
     pub(crate) fn new(limits: Arc<Limits>, phase: watch::Receiver<Phase>) -> Sessions {
         Sessions {
             places: Arc::new(Semaphore::new(places(&limits) as usize)),
+            turns: Arc::new(Semaphore::new(turns::at_a_time())),
             limits,
             phase,
             opened: Arc::default(),
@@ -123,8 +127,14 @@ pub(crate) async fn upgrade(
         let driven = async move {
             metrics.sessions.inc();
             let open = Share::one(&metrics.sessions_open);
-            let Sessions { limits, phase, .. } = sessions;
-            let reason = drive::drive(socket, session, early, &limits, phase, &metrics).await;
+            let Sessions {
+                limits,
+                phase,
+                turns,
+                ..
+            } = sessions;
+            let drive = drive::drive(socket, session, early, &limits, phase, turns, &metrics);
+            let reason = drive.await;
             metrics.session_over(reason.as_ref());
             drop((place, held, open));
         };

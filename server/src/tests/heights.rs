@@ -2,9 +2,9 @@
 
 use super::*;
 use crate::heights::tests::{Made, function};
-use serde_json::{Value, json};
-use std::sync::Arc;
-use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use crate::serve::Serving;
+use serde_json::json;
+use tokio::sync::watch;
 
 /// A server of datasets that were made for it.
 pub(super) struct Hosting {
@@ -13,31 +13,17 @@ pub(super) struct Hosting {
     task: JoinHandle<io::Result<()>>,
 }
 
-/// An answer, read without a library.
-pub(super) struct Answer {
-    pub(super) status: u16,
-    pub(super) head: String,
-    pub(super) body: Vec<u8>,
-}
-
-impl Answer {
-    pub(super) fn json(&self) -> Value {
-        serde_json::from_slice(&self.body).unwrap()
-    }
-
-    pub(super) fn header(&self, name: &str) -> Option<&str> {
-        let mut lines = self.head.lines().filter_map(|line| line.split_once(": "));
-        let line = lines.find(|(key, _)| key.eq_ignore_ascii_case(name));
-        line.map(|(_, value)| value)
-    }
-}
-
 impl Hosting {
     pub(super) async fn start(catalog: Catalog, limits: Limits) -> Hosting {
+        Hosting::of(Serving::new(Arc::new(catalog), limits)).await
+    }
+
+    pub(super) async fn of(serving: Serving) -> Hosting {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.local_addr().unwrap();
         let (shutdown, told) = oneshot::channel();
-        let serving = serve(listener, Arc::new(catalog), limits, async {
+        let rules = watch::channel(None).1;
+        let serving = serving.run(listener, rules, async {
             let _ = told.await;
         });
         Hosting {
@@ -53,25 +39,8 @@ impl Hosting {
     }
 
     pub(super) async fn ask(&self, method: &str, path: &str, headers: &str, body: &str) -> Answer {
-        let mut stream = TcpStream::connect(self.address).await.unwrap();
-        let (host, length) = (self.address, body.len());
-        let text = format!(
-            "{method} {path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\
-             Content-Length: {length}\r\n{headers}\r\n{body}"
-        );
-        stream.write_all(text.as_bytes()).await.unwrap();
-        let mut bytes = Vec::new();
-        stream.read_to_end(&mut bytes).await.unwrap();
-        let end = bytes
-            .windows(4)
-            .position(|four| four == b"\r\n\r\n")
-            .unwrap();
-        let head = String::from_utf8(bytes[..end].to_vec()).unwrap();
-        Answer {
-            status: head[9..12].parse().unwrap(),
-            head,
-            body: bytes[end + 4..].to_vec(),
-        }
+        let headers = format!("{headers}Content-Length: {}\r\n", body.len());
+        super::ask(self.address, &format!("{method} {path}"), &headers, body).await
     }
 
     pub(super) async fn get(&self, path: &str) -> Answer {
@@ -278,6 +247,14 @@ async fn what_cannot_be_answered_is_refused_with_what_is_allowed() {
         let answer = server.ask("POST", "/ramp/heights", "", &body).await;
         assert_eq!(answer.status, status);
         assert!(answer.json()["allowed"][0].as_str().is_some());
+    }
+    // What says that it will be too long is refused before any of it comes.
+    for path in ["/ramp/heights", "/ramp/profile"] {
+        let long = "Content-Length: 1000000000000\r\n";
+        let answer = super::ask(server.address, &format!("POST {path}"), long, "").await;
+        assert_eq!(answer.status, 413);
+        let error = answer.json()["error"].to_string();
+        assert!(error.contains("1000000000000 bytes"), "{error}");
     }
     let answer = server.ask("PUT", "/ramp/heights", "", "").await;
     assert_eq!(

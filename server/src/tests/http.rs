@@ -1,51 +1,14 @@
 //! The HTTP addresses.
 
+mod at_once;
 mod data;
 
 use super::*;
 use escarp_proto::geometry::PageId;
 use escarp_proto::page::revision;
-use serde_json::Value;
-use tokio::io::{AsyncReadExt, AsyncWriteExt};
-
-/// An answer, read without a library, so that its bytes are what the server sent.
-struct Answer {
-    status: u16,
-    head: String,
-    body: Vec<u8>,
-}
-
-impl Answer {
-    fn json(&self) -> Value {
-        serde_json::from_slice(&self.body).unwrap()
-    }
-
-    fn header(&self, name: &str) -> Option<&str> {
-        let mut lines = self.head.lines().filter_map(|line| line.split_once(": "));
-        lines
-            .find(|(key, _)| key.eq_ignore_ascii_case(name))
-            .map(|(_, value)| value)
-    }
-}
 
 async fn request(server: &Server, method: &str, path: &str, headers: &str) -> Answer {
-    let mut stream = TcpStream::connect(server.address).await.unwrap();
-    let host = server.address;
-    let text =
-        format!("{method} {path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n{headers}\r\n");
-    stream.write_all(text.as_bytes()).await.unwrap();
-    let mut bytes = Vec::new();
-    stream.read_to_end(&mut bytes).await.unwrap();
-    let end = bytes
-        .windows(4)
-        .position(|four| four == b"\r\n\r\n")
-        .unwrap();
-    let head = String::from_utf8(bytes[..end].to_vec()).unwrap();
-    Answer {
-        status: head[9..12].parse().unwrap(),
-        head,
-        body: bytes[end + 4..].to_vec(),
-    }
+    ask(server.address, &format!("{method} {path}"), headers, "").await
 }
 
 async fn get(server: &Server, path: &str) -> Answer {
@@ -186,6 +149,36 @@ async fn other_methods_and_plain_requests_for_sessions_are_refused_with_reasons(
             .unwrap()
             .contains("WebSocket")
     );
+    server.stop().await;
+}
+
+#[tokio::test]
+async fn what_may_change_is_to_be_asked_for_again() {
+    let server = Server::start(Limits::default()).await;
+    for path in ["/", "/datasets", "/fake"] {
+        let answer = get(&server, path).await;
+        assert_eq!(answer.header("cache-control"), Some("no-cache"), "{path}");
+        assert!(answer.header("vary").is_some(), "{path}");
+    }
+    server.stop().await;
+}
+
+#[tokio::test]
+async fn a_name_that_is_no_text_is_not_there_as_any_other() {
+    let server = Server::start(Limits::default()).await;
+    for path in [
+        "/%ff",
+        "/%ff/current",
+        "/%ff/manifest",
+        "/fake/page/%fe/0/0",
+        "/%C3%28/heights",
+    ] {
+        let answer = get(&server, path).await;
+        assert_eq!(answer.status, 404, "{path}");
+        assert_eq!(answer.header("content-type"), Some("application/json"));
+        let error = answer.json()["error"].to_string();
+        assert!(error.contains("there is no "), "{error}");
+    }
     server.stop().await;
 }
 

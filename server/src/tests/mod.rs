@@ -11,10 +11,12 @@ use crate::{Catalog, Limits, PageSource, serve};
 use escarp_proto::wire::{ClientMessage, Hello, ServerMessage};
 use fake::FakeSource;
 use futures_util::{SinkExt, StreamExt};
+use serde_json::Value;
 use std::io;
 use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::oneshot;
 use tokio::task::JoinHandle;
@@ -73,6 +75,49 @@ impl Server {
     async fn stop(self) {
         self.shutdown.send(()).unwrap();
         self.task.await.unwrap().unwrap();
+    }
+}
+
+/// An answer, read without a library, so that its bytes are what the server sent.
+struct Answer {
+    status: u16,
+    head: String,
+    body: Vec<u8>,
+}
+
+impl Answer {
+    fn json(&self) -> Value {
+        serde_json::from_slice(&self.body).unwrap()
+    }
+
+    fn header(&self, name: &str) -> Option<&str> {
+        let mut lines = self.head.lines().filter_map(|line| line.split_once(": "));
+        let line = lines.find(|(key, _)| key.eq_ignore_ascii_case(name));
+        line.map(|(_, value)| value)
+    }
+}
+
+/// Sends one request on a connection of its own: the first line without the version, lines of
+/// header beyond Host, each with its end, and a body.
+async fn ask(address: SocketAddr, what: &str, headers: &str, body: &str) -> Answer {
+    let mut stream = TcpStream::connect(address).await.unwrap();
+    let named = headers.to_ascii_lowercase().starts_with("host:");
+    let host = if named {
+        String::new()
+    } else {
+        format!("Host: {address}\r\n")
+    };
+    let text = format!("{what} HTTP/1.1\r\n{host}Connection: close\r\n{headers}\r\n{body}");
+    stream.write_all(text.as_bytes()).await.unwrap();
+    let mut bytes = Vec::new();
+    stream.read_to_end(&mut bytes).await.unwrap();
+    let end = bytes.windows(4).position(|four| four == b"\r\n\r\n");
+    let end = end.unwrap();
+    let head = String::from_utf8(bytes[..end].to_vec()).unwrap();
+    Answer {
+        status: head[9..12].parse().unwrap(),
+        head,
+        body: bytes[end + 4..].to_vec(),
     }
 }
 

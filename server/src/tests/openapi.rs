@@ -1,8 +1,10 @@
 //! The OpenAPI description against the server that it describes.
 
-use super::heights::{Answer, Hosting, ramp};
+use super::heights::{Hosting, ramp};
 use super::*;
-use serde_json::Value;
+use crate::Access;
+use crate::access::{Hosts, Proxies, Rule, Token};
+use crate::serve::Serving;
 use std::collections::BTreeSet;
 
 /// Where routes are made, as text.
@@ -162,6 +164,87 @@ async fn every_address_answers_as_it_is_described() {
             assert_eq!(in_path, path.matches('{').count(), "{what}");
         }
     }
+    server.stop().await;
+}
+
+/// A server of the same, that only those with a token may see, and nobody twice.
+async fn guarded() -> Hosting {
+    let catalog = Catalog::default();
+    catalog.add("ramp", Arc::new(ramp().dataset)).unwrap();
+    let limits = Limits {
+        requests_per_second_per_address: 1,
+        request_burst_per_address: 1,
+        ..Limits::default()
+    };
+    let access = Access {
+        rules: vec![Rule {
+            datasets: "*".into(),
+            tokens: Some(vec![Token::of("a-token-of-some-length")]),
+            origins: None,
+        }],
+        hosts: Hosts::local(),
+        ..Access::default()
+    };
+    let serving = Serving::new(Arc::new(catalog), limits).with_access(access);
+    let proxies = Proxies::parse(&["127.0.0.1"]).unwrap();
+    Hosting::of(serving.behind(proxies).limiting_loopback(true)).await
+}
+
+#[tokio::test]
+async fn what_is_refused_before_it_is_looked_at_is_described_for_every_address() {
+    let (open, id) = hosting().await;
+    let server = guarded().await;
+    let all = open.get("/openapi.json").await.json();
+    let past = format!("{}-00000000", id.split('-').next().unwrap());
+    let mut clients = 0;
+    for (path, operations) in all["paths"].as_object().unwrap() {
+        for (method, operation) in operations.as_object().unwrap() {
+            let what = format!("{method} {path}");
+            let place = path
+                .replace("{name}", "ramp")
+                .replace("{generation}", &past)
+                .replace("{level}/{x}/{y}", "0/0/0");
+            let request = format!("{} {place}", method.to_uppercase());
+            // Each from an address of its own, unless that is the point.
+            clients += 1;
+            let from = format!("X-Forwarded-For: 192.0.2.{clients}\r\nContent-Length: 0\r\n");
+            let evil = format!("Host: evil.example\r\n{from}");
+            let answer = ask(server.address, &request, &evil, "").await;
+            assert_eq!(answer.status, 421, "{what}");
+            holds(&all, operation, &answer, &what);
+            if path.contains("{name}") {
+                let answer = ask(server.address, &request, &from, "").await;
+                assert_eq!(answer.status, 401, "{what}");
+                holds(&all, operation, &answer, &what);
+                clients += 1;
+                let from = format!("X-Forwarded-For: 192.0.2.{clients}\r\n");
+                let wrong = format!("{from}Authorization: Bearer another-token-entirely\r\n");
+                let answer = ask(server.address, &request, &wrong, "").await;
+                assert_eq!(answer.status, 403, "{what}");
+                holds(&all, operation, &answer, &what);
+            }
+            if path.contains("{generation}") {
+                let answer = open.get(&place).await;
+                assert_eq!(answer.status, 410, "{what}");
+                holds(&all, operation, &answer, &what);
+            }
+            if ["/healthz", "/readyz"].contains(&path.as_str()) {
+                continue;
+            }
+            let mut last = ask(server.address, &request, &from, "").await;
+            // A second may pass between two requests, not between all of them.
+            for _ in 0..20 {
+                if last.status == 429 {
+                    break;
+                }
+                last = ask(server.address, &request, &from, "").await;
+            }
+            assert_eq!(last.status, 429, "{what}");
+            assert!(last.header("retry-after").is_some());
+            holds(&all, operation, &last, &what);
+        }
+    }
+    open.stop().await;
     server.stop().await;
 }
 

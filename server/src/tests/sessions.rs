@@ -44,8 +44,8 @@ async fn what_is_wanted_comes_and_then_idle() {
     };
     assert_eq!(last, ServerMessage::Idle { view_sequence: 0 });
     assert_eq!(got.len(), wishes.len());
-    for (chunk, wish) in got.iter().zip(&wishes) {
-        assert_eq!(chunk.page, wish.page);
+    for wish in &wishes {
+        let chunk = got.iter().find(|chunk| chunk.page == wish.page).unwrap();
         assert_eq!(chunk.bytes, server.source.stored(wish.page_id().unwrap()));
     }
     server.stop().await;
@@ -121,13 +121,55 @@ async fn rubbish_is_answered_by_an_error() {
 }
 
 #[tokio::test]
+async fn a_message_just_too_long_for_the_socket_is_told_which_limit_it_met() {
+    use crate::limits::SOCKET_MESSAGE_BYTES;
+    let server = Server::start(Limits::default()).await;
+    for bytes in [SOCKET_MESSAGE_BYTES, SOCKET_MESSAGE_BYTES + 1] {
+        let mut socket = server.open(0).await;
+        socket.send(Message::binary(vec![0; bytes])).await.unwrap();
+        assert_eq!(
+            error_code(&mut socket).await,
+            Some(ErrorCode::Limit),
+            "{bytes}"
+        );
+    }
+    server.stop().await;
+}
+
+#[tokio::test]
+async fn a_client_that_says_that_it_goes_is_not_lost() {
+    let server = Server::start(Limits::default()).await;
+    let mut socket = server.open(0).await;
+    socket.close(None).await.unwrap();
+    while hear(&mut socket).await.is_some() {}
+    let ended = async || {
+        let answer = ask(server.address, "GET /metrics", "", "").await;
+        let text = String::from_utf8(answer.body).unwrap();
+        let lines = text
+            .lines()
+            .filter(|line| line.starts_with("escarp_sessions_ended_total"));
+        lines.map(str::to_owned).collect::<Vec<_>>()
+    };
+    let mut found = ended().await;
+    for _ in 0..100 {
+        if !found.is_empty() {
+            break;
+        }
+        tokio::time::sleep(Duration::from_millis(20)).await;
+        found = ended().await;
+    }
+    assert_eq!(found, ["escarp_sessions_ended_total{reason=\"client\"} 1"]);
+    server.stop().await;
+}
+
+#[tokio::test]
 async fn a_message_far_too_long_ends_the_connection() {
     let server = Server::start(Limits::default()).await;
     let mut socket = server.open(0).await;
     // The server may be gone before it is sent.
     let _ = socket.send(Message::binary(vec![0; 8 << 20])).await;
     let code = error_code(&mut socket).await;
-    assert!(code.is_none_or(|code| code == ErrorCode::Protocol));
+    assert!(code.is_none_or(|code| code == ErrorCode::Limit));
     drop(server.open(0).await);
     server.stop().await;
 }

@@ -6,12 +6,10 @@ use super::lab::{End, Lab, SERVER, beside};
 use super::places::Ground;
 use super::server::Server;
 use super::shaper::Cell;
-use super::watch::Leg;
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result};
 use escarp_proto::view::View;
 use escarp_tiles::dataset::Dataset;
 use std::path::Path;
-use std::process::Stdio;
 
 /// Names of the legs.
 pub const LEGS: [&str; 2] = ["from connecting", "after a teleport"];
@@ -100,25 +98,12 @@ pub fn measure(folder: &Path, plan: &Plan, step: &dyn Fn(&str)) -> Result<Vec<Ou
             };
             let runs = (0..plan.repeats(&cell, kind)).map(|repeat| {
                 lab.line.set(cell, u64::from(repeat));
-                client(&lab, &job).with_context(|| format!("{cell} {kind}"))
+                lab.measure("line-client", &job)
+                    .with_context(|| format!("{cell} {kind}"))
             });
             let runs = runs.collect::<Result<_>>()?;
             outcomes.push(Outcome { cell, kind, runs });
         }
     }
     Ok(outcomes)
-}
-
-/// Runs a client at its end of the line.
-fn client(lab: &Lab, job: &Job) -> Result<Vec<Leg>> {
-    let mut command = lab.command(End::Client, &beside("escarp-report")?);
-    command.arg("line-client").arg(serde_json::to_string(job)?);
-    let output = command.stdin(Stdio::null()).output()?;
-    let said = String::from_utf8_lossy(&output.stderr);
-    ensure!(
-        output.status.success(),
-        "the client failed: {}",
-        said.trim()
-    );
-    Ok(serde_json::from_slice(&output.stdout)?)
 }

@@ -43,6 +43,12 @@ pub struct Found {
     pub bytes: u64,
     /// Views that needed pages, and got none before the next one that did.
     pub unanswered: u64,
+    /// From a View that needed pages to Idle: all that it needs is here.
+    pub settled: Delays,
+    /// Views that needed pages, all of which had come before.
+    pub early: u64,
+    /// Views that needed pages, and did not have all of them before the next one that did.
+    pub unsettled: u64,
 }
 
 impl Found {
@@ -52,6 +58,9 @@ impl Found {
         self.pongs.join(other.pongs);
         self.bytes += other.bytes;
         self.unanswered += other.unanswered;
+        self.settled.join(other.settled);
+        self.early += other.early;
+        self.unsettled += other.unsettled;
     }
 }
 
@@ -138,9 +147,17 @@ pub async fn flying(run: Run, number: usize) -> Result<Found> {
 struct Pilot {
     line: usize,
     sequence: u32,
-    /// The pages that a View needs, its number, and when it was said.
-    awaited: Option<(HashSet<u64>, u32, Instant)>,
+    awaited: Option<Awaited>,
     found: Found,
+}
+
+/// A View that needs pages.
+struct Awaited {
+    pages: HashSet<u64>,
+    number: u32,
+    since: Instant,
+    /// One of them has come.
+    begun: bool,
 }
 
 impl Pilot {
@@ -163,9 +180,17 @@ impl Pilot {
                 talk.say(&ClientMessage::Want(wants.to_vec())).await?;
             }
         }
-        let pages = line.wants.iter().map(|want| want.page).collect();
-        if self.awaited.replace((pages, self.sequence, now)).is_some() && run.is_measured() {
-            self.found.unanswered += 1;
+        let awaited = Awaited {
+            pages: line.wants.iter().map(|want| want.page).collect(),
+            number: self.sequence,
+            since: now,
+            begun: false,
+        };
+        if let Some(before) = self.awaited.replace(awaited)
+            && run.is_measured()
+        {
+            self.found.unsettled += 1;
+            self.found.unanswered += u64::from(!before.begun);
         }
         Ok(())
     }
@@ -176,23 +201,35 @@ impl Pilot {
                 if run.is_measured() {
                     self.found.bytes += chunks.iter().map(|c| c.bytes.len() as u64).sum::<u64>();
                 }
-                let is_awaited = self.awaited.as_ref().is_some_and(|(pages, ..)| {
-                    chunks.iter().any(|chunk| pages.contains(&chunk.page))
-                });
-                if is_awaited
-                    && let Some((.., since)) = self.awaited.take()
-                    && run.is_measured()
+                if let Some(awaited) = &mut self.awaited
+                    && !awaited.begun
+                    && chunks.iter().any(|c| awaited.pages.contains(&c.page))
                 {
-                    self.found.chunks.add(since.elapsed().as_secs_f64() * 1e3);
+                    awaited.begun = true;
+                    if run.is_measured() {
+                        self.found.chunks.add(awaited.ms());
+                    }
                 }
             }
-            // All that the view needs is here: it came before.
+            // All that the view needs is here.
             ServerMessage::Idle { view_sequence } => {
-                self.awaited
-                    .take_if(|(_, number, _)| *number <= *view_sequence);
+                let settled = |awaited: &mut Awaited| awaited.number <= *view_sequence;
+                if let Some(awaited) = self.awaited.take_if(settled)
+                    && run.is_measured()
+                {
+                    self.found.settled.add(awaited.ms());
+                    self.found.early += u64::from(!awaited.begun);
+                }
             }
             _ => {}
         }
+    }
+}
+
+impl Awaited {
+    /// Since it was said, milliseconds.
+    fn ms(&self) -> f64 {
+        self.since.elapsed().as_secs_f64() * 1e3
     }
 }
 

@@ -13,7 +13,6 @@ use escarp_client::flight::Path as Flight;
 use escarp_tiles::dataset::Dataset;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
-use std::process::Stdio;
 use std::time::{Duration, Instant};
 
 /// Pictures a second.
@@ -190,7 +189,7 @@ pub fn measure(folder: &Path, plan: &FlightPlan, step: &dyn Fn(&str)) -> Result<
                     predicts,
                     limit_s: 60.0,
                 };
-                let flown = fly(&lab, &job)?;
+                let flown = lab.measure("line-flight", &job)?;
                 flights.push(Flight1 {
                     speed_m_s,
                     kind,
@@ -201,19 +200,6 @@ pub fn measure(folder: &Path, plan: &FlightPlan, step: &dyn Fn(&str)) -> Result<
         }
     }
     Ok(flights)
-}
-
-fn fly(lab: &Lab, job: &FlyJob) -> Result<Flown> {
-    let mut command = lab.command(End::Client, &beside("escarp-report")?);
-    command.arg("line-flight").arg(serde_json::to_string(job)?);
-    let output = command.stdin(Stdio::null()).output()?;
-    let said = String::from_utf8_lossy(&output.stderr);
-    ensure!(
-        output.status.success(),
-        "the client failed: {}",
-        said.trim()
-    );
-    Ok(serde_json::from_slice(&output.stdout)?)
 }
 
 /// A row for each flight.

@@ -7,6 +7,8 @@
 use super::relay::Relay;
 use super::shaper::Cell;
 use anyhow::{Context, Result, ensure};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
 use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -73,6 +75,23 @@ impl Lab {
         Lab::make(owner)
             .inspect_err(|_| remove(owner))
             .context(NEEDS)
+    }
+
+    /// Runs a command of this program at the client's end, and gives what it found.
+    ///
+    /// # Errors
+    /// If it fails, with what it said.
+    pub fn measure<T: DeserializeOwned>(&self, command: &str, job: &impl Serialize) -> Result<T> {
+        let mut client = self.command(End::Client, &beside("escarp-report")?);
+        client.arg(command).arg(serde_json::to_string(job)?);
+        let output = client.stdin(Stdio::null()).output()?;
+        let said = String::from_utf8_lossy(&output.stderr);
+        ensure!(
+            output.status.success(),
+            "the client failed: {}",
+            said.trim()
+        );
+        Ok(serde_json::from_slice(&output.stdout)?)
     }
 
     fn make(owner: u32) -> Result<Lab> {

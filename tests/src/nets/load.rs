@@ -83,6 +83,12 @@ pub struct Loaded {
     pub greedy_bytes_a_second: f64,
     /// Views that needed pages and got none before the next one that did.
     pub unanswered: u64,
+    /// From a View that needed pages to Idle.
+    pub settled: Summary,
+    /// Views that needed pages, all of which had come before.
+    pub early: u64,
+    /// Views that needed pages, and did not have all of them before the next one that did.
+    pub unsettled: u64,
 }
 
 /// The flights that sessions read from.
@@ -123,6 +129,7 @@ pub fn start(
         .arg(folder)
         .args(["--listen", "127.0.0.1:0", "--max-sessions"])
         .arg(sessions.to_string())
+        .args(["--limit", &format!("connections={}", 2 * sessions + 64)])
         .args(more);
     if let Some(log) = log {
         let file = File::create(log).with_context(|| format!("cannot write {}", log.display()))?;
@@ -214,6 +221,9 @@ async fn run(
         bytes_a_second: found.bytes as f64 / load.seconds,
         greedy_bytes_a_second: grabbed.bytes as f64 / load.seconds,
         unanswered: found.unanswered,
+        settled: found.settled.summary(),
+        early: found.early,
+        unsettled: found.unsettled,
     })
 }
 
@@ -277,6 +287,11 @@ pub fn table(loaded: &[Loaded]) -> Table {
         "chunk p99 ms",
         "chunks",
         "late",
+        "came before",
+        "all p50 ms",
+        "all p99 ms",
+        "all",
+        "not all",
         "pong p50 ms",
         "pong p99 ms",
         "MB/s",
@@ -300,6 +315,11 @@ pub fn table(loaded: &[Loaded]) -> Table {
             ms(one.chunks.p99_ms),
             one.chunks.count.to_string(),
             one.unanswered.to_string(),
+            one.early.to_string(),
+            ms(one.settled.p50_ms),
+            ms(one.settled.p99_ms),
+            one.settled.count.to_string(),
+            one.unsettled.to_string(),
             ms(one.pongs.p50_ms),
             ms(one.pongs.p99_ms),
             format!("{:.2}", one.bytes_a_second / 1e6),

@@ -11,6 +11,8 @@ use escarp_client::app::headless::Driver;
 use escarp_client::flight::Path as Flight;
 use escarp_client::net::Url;
 use escarp_client::remote::{ClientOptions, RemoteTerrain};
+use escarp_proto::manifest::Manifest;
+use escarp_server::native::native;
 use escarp_tiles::dataset::Dataset;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -163,19 +165,22 @@ fn flight(dataset: &Dataset, number: usize, renewal: &Renewal) -> Result<Flight>
     Ok(flight)
 }
 
+/// A rectangle of the dataset, another for each update: west, south, east, north in the coordinates
+/// of its own reference system, as `escarp-tiles update` takes them.
+fn rectangle(manifest: &Manifest, number: u32) -> [f64; 4] {
+    let [x, y, _] = manifest.extent_m();
+    let from = 0.3 + 0.1 * f64::from(number);
+    let at = |share: f64| {
+        let along = |[least, most]: [f64; 2]| least + share * (most - least);
+        native(&manifest.georef, [along(x), along(y)])
+    };
+    let [[west, south], [east, north]] = [from, from + 0.05].map(at);
+    [west, south, east, north]
+}
+
 /// Makes a rectangle of the dataset a hole, by the program. The new generation.
 fn update(folder: &Path, dataset: &Dataset, number: u32) -> Result<u64> {
-    let manifest = dataset.manifest();
-    let at = |share: f64, axis: usize| {
-        let sample = (share * f64::from(manifest.samples[axis])) as u32;
-        match axis {
-            0 => manifest.georef.world_x(sample),
-            _ => manifest.georef.world_y(sample),
-        }
-    };
-    let from = 0.3 + 0.1 * f64::from(number);
-    let [west, east] = [from, from + 0.05].map(|share| at(share, 0));
-    let [south, north] = [from, from + 0.05].map(|share| at(share, 1));
+    let [west, south, east, north] = rectangle(dataset.manifest(), number);
     let output = Command::new(beside("escarp-tiles")?)
         .arg("update")
         .arg(folder)
@@ -266,4 +271,35 @@ fn since(ends: &Ends, generation: u64) -> f64 {
         of.map(|(_, at)| at.elapsed().as_secs_f64())
     });
     end.unwrap_or(0.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::terrain::{FunctionSource, TempDataset, hills};
+    use escarp_tiles::dem::Crs;
+    use escarp_tiles::update::{Edit, update};
+
+    #[test]
+    fn rectangles_lie_in_the_data_in_degrees_as_well_as_in_metres() {
+        let degrees = FunctionSource::new(200, 180, hills).with(|info| {
+            info.crs = Crs::Geographic {
+                name: "EPSG:4326".into(),
+                radius_m: 6_378_137.0,
+            };
+            let place = &mut info.placement;
+            (place.x0, place.y0, place.dx, place.dy) = (86.0, 28.0, 0.001, 0.001);
+        });
+        let metres = FunctionSource::new(200, 180, hills);
+        for mut source in [degrees, metres] {
+            let data = TempDataset::build(&mut source);
+            let edit = Edit {
+                patches: Vec::new(),
+                remove: vec![rectangle(data.dataset.manifest(), 2)],
+                sources: Vec::new(),
+            };
+            let report = update(&data.dataset, edit, &|_, _| {}).unwrap();
+            assert!((80..=130).contains(&report.removed), "{report:?}");
+        }
+    }
 }

@@ -151,6 +151,11 @@ pub fn parts_of(tree: &MeshTree) -> UsedParts {
 }
 
 impl UsedParts {
+    /// The last part of a page that the mesh could not do without.
+    pub fn last_used(&self, page: PageId) -> Option<u8> {
+        self.used.get(&page).copied()
+    }
+
     /// Bytes of the parts that the mesh could not do without, and that were not here before.
     ///
     /// # Errors

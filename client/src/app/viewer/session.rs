@@ -258,6 +258,7 @@ impl Session {
             let ms = began.elapsed().as_secs_f32() * 1e3;
             self.facts.frame_ms += (ms - self.facts.frame_ms) * FRAME_MS_SHARE;
             self.facts.draw_ms = present_began.elapsed().as_secs_f32() * 1e3;
+            client.shown(ms - self.facts.step.times.total_ms());
         }
         Ok(presented)
     }

@@ -30,7 +30,7 @@ impl Roam {
                     self.split(pass, split);
                     continue;
                 }
-            } else if pass.floor.is_none() && self.band.lo > least {
+            } else if self.band.lo > least && self.is_below_band(pass) {
                 // All in the band is split, and there is room for more.
                 self.widen(pass);
                 continue;
@@ -40,6 +40,13 @@ impl Roam {
                 _ => return,
             }
         }
+    }
+
+    /// Whether something below the band may have to be split: nothing has given way, or something
+    /// that is lower. That was asked for before bounds, or the view, made it fall below the band;
+    /// what was not asked for, and is above it now, still waits in the calendar.
+    fn is_below_band(&self, pass: &Pass<'_>) -> bool {
+        pass.floor.is_none_or(|floor| floor.priority < self.band.lo)
     }
 
     pub(super) fn is_over_limit(&self) -> bool {

@@ -70,7 +70,7 @@ fn a_forged_count_is_refused_by_the_limit_before_memory_is_taken() {
         &[0, 1, 0],
         &[3, 0],
         &[1],
-        &[1, 1, 0, 0, 0, 0],
+        &[1, 1, 0, 0, 0, 0, 0, 0],
         &[6, 0],
         &[7],
     ];
@@ -213,7 +213,7 @@ proptest! {
         wants in vec((any::<u64>(), any::<u8>(), any::<u8>(), -1e30f32..1e30), 0..50),
         keys in vec(any::<u64>(), 0..50),
         haves in vec((any::<u64>(), any::<u32>(), any::<u8>()), 0..50),
-        chunks in vec((any::<u64>(), any::<u32>(), any::<u8>(), vec(any::<u8>(), 0..300)), 0..9),
+        chunks in vec((any::<u64>(), any::<u32>(), 0..16u8, vec(any::<u8>(), 0..300)), 0..9),
     ) {
         let wants = wants.into_iter().map(|(page, first_part, last_part, priority)| Want {
             page, first_part, last_part, class: Class::Predicted, priority,

@@ -32,6 +32,34 @@ fn an_overview_has_the_shape_of_the_land_and_is_clear_where_no_data_is() {
 }
 
 #[test]
+fn where_a_page_has_few_samples_of_a_picture_it_is_less_sharp_and_not_refused() {
+    // Ten samples a pixel: a stride of 8 has 4 squares in a page, one of 16 has 256 in the page above.
+    let made = Made::hills([1025, 1025], false);
+    let frame = made.frame();
+    let limits = HeightLimits {
+        pages: 50,
+        ..HeightLimits::default()
+    };
+    let read = |pages: u64, limits: &HeightLimits| {
+        let mut pages = Pages::new(&made.dataset, Work::new(pages, 0, &GOES_ON));
+        overview(&mut pages, &frame, 100, limits)
+    };
+    let refused = read(limits.pages, &HeightLimits::default());
+    assert!(matches!(refused, Err(HeightError::TooMuch { .. })));
+    let coarse = read(limits.pages, &limits).unwrap();
+    let fine = drawn(&made, 100);
+    assert_eq!(coarse.size_px, fine.size_px);
+    let there = |overview: &Overview| {
+        overview
+            .rgba
+            .chunks(4)
+            .filter(|rgba| rgba[3] == 255)
+            .count()
+    };
+    assert_eq!(there(&coarse), there(&fine));
+}
+
+#[test]
 fn slopes_towards_the_light_are_brighter() {
     let ridge = Made::of(&mut function([201, 101], |x, _| {
         500.0 - 5.0 * (f64::from(x) - 100.0).abs()

@@ -2,7 +2,7 @@
 
 use super::{Problem, Refused};
 use crate::heights::{Height, HeightError};
-use axum::body::{Body, Bytes, to_bytes};
+use axum::body::{Body, Bytes, HttpBody, to_bytes};
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::IntoResponse;
 use escarp_proto::view::FARTHEST_EYE_M;
@@ -22,12 +22,16 @@ struct Points {
 /// The body of a request with at most so many points, if it arrives in time.
 pub(super) async fn body(body: Body, most: usize, within: Duration) -> Result<Bytes, Refused> {
     let bytes = most.saturating_mul(POINT_BYTES).saturating_add(1024);
-    let read = tokio::time::timeout(within, to_bytes(body, bytes));
     let refused = |status, error: String| Problem {
         allowed: vec![format!("{most} points in {bytes} bytes, within {within:?}")],
         ..Problem::plain(status, error)
     };
-    match read.await {
+    let length = body.size_hint().lower();
+    if length > bytes as u64 {
+        let error = format!("the body has {length} bytes");
+        return Err(refused(StatusCode::PAYLOAD_TOO_LARGE, error).into());
+    }
+    match tokio::time::timeout(within, to_bytes(body, bytes)).await {
         Ok(Ok(body)) => Ok(body),
         Ok(Err(error)) => {
             let error = format!("the body was not read: {error}");

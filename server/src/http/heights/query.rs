@@ -7,6 +7,8 @@ use std::str::FromStr;
 
 /// Observers and targets are no higher or lower, metres: beyond, everything is in sight or nothing.
 const MOST_ABOVE_GROUND_M: f64 = 1e7;
+/// Height of an observer's eye above the ground unless told otherwise, metres.
+const EYE_M: f64 = 2.0;
 
 /// Bent light, unless told otherwise.
 const REFRACTION: f64 = 0.13;
@@ -46,8 +48,17 @@ impl Query {
         })
     }
 
+    /// How far observer and target are above the ground, metres, and how light goes between them.
+    pub(super) fn sighting(&self) -> Result<([f64; 2], Curvature), HeightError> {
+        let above_ground_m = [
+            self.above_ground("observer_height", EYE_M)?,
+            self.above_ground("target_height", 0.0)?,
+        ];
+        Ok((above_ground_m, self.curvature()?))
+    }
+
     /// A height above the ground, metres.
-    pub(super) fn above_ground(&self, name: &str, usual: f64) -> Result<f64, HeightError> {
+    fn above_ground(&self, name: &str, usual: f64) -> Result<f64, HeightError> {
         let height_m = self.number(name)?.unwrap_or(usual);
         match height_m.abs() <= MOST_ABOVE_GROUND_M {
             true => Ok(height_m),
@@ -146,7 +157,7 @@ impl Query {
         }
     }
 
-    pub(super) fn curvature(&self) -> Result<Curvature, HeightError> {
+    fn curvature(&self) -> Result<Curvature, HeightError> {
         let refraction = self.number("refraction")?;
         match (self.0.get("curvature").map(String::as_str), refraction) {
             (None | Some("off"), None) => Ok(Curvature::Flat),

@@ -152,8 +152,9 @@ fn figures(metres: f64) -> String {
     }
 }
 
-/// A bound, rounded up to three figures.
+/// A bound above 0, rounded up to three figures, and to a micrometre.
 fn figures_up(metres: f64) -> String {
+    let metres = metres.max(1e-6);
     let scale = 10f64.powi(2 - metres.log10().floor() as i32);
     figures((metres * scale).ceil() / scale)
 }
@@ -221,6 +222,7 @@ mod tests {
         assert_eq!(figures(-6572.4), "-6572");
         assert_eq!(figures(0.0), "0");
         assert_eq!(figures_up(0.050_001), "0.0501");
+        assert_eq!(figures_up(2.4e-10), "0.000001");
         assert_eq!(grouped(1_234_567), "1,234,567");
         assert_eq!(size(71_900_542), "71.9 MB (71,900,542 bytes)");
     }

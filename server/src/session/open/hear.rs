@@ -2,6 +2,7 @@
 
 use super::Open;
 use super::say::Reply;
+use crate::session::cover;
 use escarp_proto::geometry::PageId;
 use escarp_proto::view::View;
 use escarp_proto::wire::{ClientMessage, ErrorCode, Miss, MissReason, PeerError, Scope, Want};
@@ -37,11 +38,15 @@ impl Open {
                 if haves.is_empty() {
                     self.changes = self.changes.saturating_sub(1);
                 }
+                self.cover = None;
                 self.haves.push_back(haves);
             }
             ClientMessage::Evict(keys) => {
                 for key in keys {
                     self.held.evict(page_of(key)?);
+                }
+                if let Some(cover) = &mut self.cover {
+                    cover.evicted(now);
                 }
             }
             ClientMessage::Ping(number) => self.replies.push_back(Reply::Pong(number)),
@@ -75,9 +80,25 @@ impl Open {
         if self.views.advance(now) {
             self.stats.views += 1;
             self.idle_owed = true;
-            self.select_due = self.pushes();
-            self.ahead.turn(now, self.pushes.shows_all());
+            if self.pushes() && !self.is_covered(cover::LEAD_S, now) {
+                self.uncovered = !self.is_covered(0.0, now);
+                if !self.select_due {
+                    self.ahead.turn(now, self.pushes.shows_all());
+                }
+                self.select_due = true;
+            }
         }
+    }
+
+    /// Whether the newest selection holds for the view that is looked at, and goes on doing so for
+    /// so long.
+    fn is_covered(&self, seconds: f64, now: Duration) -> bool {
+        let in_order = !self.pushes.is_done();
+        let (Some(cover), Some((_, view, scope))) = (&self.cover, self.views.current()) else {
+            return false;
+        };
+        let eye_m = view.eye_after(seconds);
+        cover.holds(&View { eye_m, ..view }, scope, in_order, now)
     }
 
     fn want(&mut self, want: &Want) {

@@ -2,12 +2,14 @@
 
 use super::Open;
 use crate::limits::LOOKUPS_PER_FRAME;
-use crate::session::chunk::{PAGES_OVERHEAD, chunk_of, encoded_len};
+use crate::session::chunk::{PAGES_OVERHEAD, arranged, chunk_of, encoded_len, frame_bytes};
+use crate::session::cover::{self, Cover};
 use crate::session::push::Piece;
 use crate::session::queue::Wish;
 use escarp_proto::geometry::PageId;
 use escarp_proto::page::MAX_RECORD_BYTES;
-use escarp_proto::wire::{Chunk, Class, Have, PAGES_FRAME, Scope, ServerMessage};
+use escarp_proto::select::Look;
+use escarp_proto::wire::{Chunk, Class, Have, Scope, ServerMessage};
 
 /// Where the next parts come from.
 #[derive(Debug, Clone, Copy)]
@@ -17,6 +19,11 @@ enum Next {
 }
 
 impl Open {
+    /// Whether a selection is due.
+    pub(in crate::session) fn selects(&self) -> bool {
+        self.select_due
+    }
+
     /// Whether there may be records to read: pages to send, or to look up.
     pub(in crate::session) fn has_pages(&self) -> bool {
         !self.haves.is_empty() || self.select_due || !self.stalled && self.next().is_some()
@@ -67,6 +74,7 @@ impl Open {
         let Some((_, view, scope)) = self.views.current() else {
             return;
         };
+        let eyes = cover::way(&view, self.pushes.shows_all());
         let Open {
             published,
             pushes,
@@ -74,9 +82,16 @@ impl Open {
             most_pieces,
             ..
         } = self;
-        let replaced = published.select(&view, scope, |needs| {
-            pushes.replace(needs, held, *most_pieces)
+        let look = Look {
+            view: &view,
+            eyes,
+            scope,
+        };
+        let (replaced, lists_all) = published.select(look, |needs, is_all| {
+            (pushes.replace(needs, held, *most_pieces), is_all)
         });
+        let is_all = replaced.is_all && lists_all;
+        self.cover = is_all.then(|| Cover::new(&view, scope, eyes));
         self.stats.cancelled_pieces += replaced.dropped as u64;
         self.stats.selections += 1;
         self.unfinished = !replaced.is_all;
@@ -89,7 +104,12 @@ impl Open {
                 most_pieces,
                 ..
             } = self;
-            published.select(&later, Scope::InView, |needs| {
+            let look = Look {
+                view: &later,
+                eyes: cover::stretch(cover::end(&view), later.eye_m),
+                scope: Scope::InView,
+            };
+            published.select(look, |needs, _| {
                 pushes.replace_ahead(needs, held, *most_pieces);
             });
         }
@@ -117,7 +137,7 @@ impl Open {
     /// Fills a frame with the most urgent chunks. The order is strict: a chunk that does not fit
     /// ends the frame, and one that exceeds the credit waits, so that large pages do not starve.
     fn poll_pages(&mut self) -> Option<ServerMessage> {
-        let mut room = PAGES_FRAME - PAGES_OVERHEAD;
+        let mut room = frame_bytes(self.sent_bytes) - PAGES_OVERHEAD;
         let mut chunks = Vec::new();
         for _ in 0..LOOKUPS_PER_FRAME {
             let Some(next) = self.next().filter(|_| !self.stalled) else {
@@ -138,9 +158,9 @@ impl Open {
                     self.stalled = true;
                     self.stats.credit_stalls += 1;
                 }
-                Ok(chunk) if encoded_len(&chunk) > room => break,
+                Ok(chunk) if encoded_len(&chunk) > room && !chunks.is_empty() => break,
                 Ok(chunk) => {
-                    room -= encoded_len(&chunk);
+                    room = room.saturating_sub(encoded_len(&chunk));
                     self.remove(next);
                     self.spend(next, wish.page, &chunk);
                     chunks.push(chunk);
@@ -151,8 +171,9 @@ impl Open {
         if self.unfinished && self.pushes.is_done() {
             self.unfinished = false;
             self.select_due = self.sent_bytes > self.sent_before;
+            self.uncovered = true;
         }
-        (!chunks.is_empty()).then_some(ServerMessage::Pages(chunks))
+        (!chunks.is_empty()).then(|| ServerMessage::Pages(arranged(chunks)))
     }
 
     /// What of the next parts the client has not: nothing of a page that could not be remembered,

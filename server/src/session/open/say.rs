@@ -35,7 +35,8 @@ impl Open {
 
     /// Whether nothing waits but what lies ahead of the view.
     fn is_done(&self) -> bool {
-        self.queue.is_empty() && self.pushes.is_done() && !self.select_due && self.haves.is_empty()
+        let selected = !(self.select_due && self.uncovered);
+        self.queue.is_empty() && self.pushes.is_done() && selected && self.haves.is_empty()
     }
 
     fn welcome(&self) -> Welcome {

@@ -49,8 +49,7 @@ fn catalog() -> Arc<Catalog> {
         let options = BuildOptions::default();
         build(&mut source, &path, Vec::new(), options, &|_, _| {}).expect("it builds");
         let dataset = Dataset::open(&path).expect("it opens");
-        #[allow(unused_mut, reason = "a catalog may change through a shared reference")]
-        let mut catalog = Catalog::default();
+        let catalog = Catalog::default();
         let added = catalog.add("slope", Arc::new(dataset));
         assert!(added.is_ok());
         Arc::new(catalog)
