@@ -57,12 +57,10 @@ impl Index {
         let head = piece.head;
         let has_room = self.pages.len() < MAX_PAGES || self.pages.contains_key(&head.page);
         match self.pages.get_mut(&head.page) {
-            Some(entry) if head.confirms() => {
-                if entry.revision == head.revision {
-                    entry.tag = head.tag;
-                }
+            Some(entry) if head.confirms() && entry.revision == head.revision => {
+                entry.tag = head.tag;
             }
-            None if head.confirms() => {}
+            _ if head.confirms() => {}
             Some(entry) if head.first_part > 0 => {
                 let joins = entry.revision == head.revision
                     && entry.last_part().checked_add(1) == Some(head.first_part);
