@@ -163,7 +163,7 @@ fn a_check_of_the_settings_finds_what_would_not_start() {
         "{alone:?}"
     );
     let missing = desk.name("missing.escarp");
-    let twice = desk.dataset();
+    let twice = dataset(&desk);
     let twice = twice.to_str().unwrap();
     fs::create_dir(desk.path("broken.escarp")).unwrap();
     fs::write(desk.path("broken.escarp/CURRENT"), "rubbish").unwrap();
