@@ -14,7 +14,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::io::{Read, Write};
 use std::net::TcpStream;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
@@ -29,7 +29,7 @@ impl Served {
     /// Hosts the desk's dataset.
     fn start(desk: &Desk, arguments: &[&str]) -> Served {
         let mut command = program("escarp-server");
-        command.args(arguments).arg(desk.dataset());
+        command.args(arguments).arg(dataset(desk));
         Served::of(command)
     }
 
@@ -89,9 +89,15 @@ fn get(address: &str, path: &str, headers: &str) -> String {
     String::from_utf8_lossy(&answer).into_owned()
 }
 
+/// The desk's dataset, made for the first who asks.
+fn dataset(desk: &Desk) -> PathBuf {
+    let made = desk.path("demo.escarp");
+    if made.exists() { made } else { desk.dataset() }
+}
+
 /// What `--check-config` says of the desk's dataset and these settings.
 fn check(desk: &Desk, arguments: &[&str]) -> Ran {
-    let dataset = desk.dataset();
+    let dataset = dataset(desk);
     let dataset = dataset.to_str().expect("UTF-8");
     run(
         "escarp-server",

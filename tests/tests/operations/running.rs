@@ -163,15 +163,17 @@ fn a_check_of_the_settings_finds_what_would_not_start() {
         "{alone:?}"
     );
     let missing = desk.name("missing.escarp");
-    let twice = desk.dataset();
-    let twice = twice.to_str().unwrap();
+    // Another folder, and the same name.
+    let twice = desk.name("other/demo.escarp");
+    fs::create_dir(desk.path("other")).unwrap();
+    std::os::unix::fs::symlink(dataset(&desk), &twice).unwrap();
     fs::create_dir(desk.path("broken.escarp")).unwrap();
     fs::write(desk.path("broken.escarp/CURRENT"), "rubbish").unwrap();
     let broken = desk.name("broken.escarp");
     for (arguments, code, text) in [
         (&[missing.as_str()][..], 1, "missing.escarp"),
         (&[broken.as_str()], 1, "broken.escarp"),
-        (&[twice], 2, "two datasets are named"),
+        (&[twice.as_str()], 2, "two datasets are named"),
         (&["--watch", "/no/such/folder"], 1, "/no/such/folder"),
         (&["--listen", "127.0.0.1"], 2, "allowed is HOST:PORT"),
         (&["--tls-cert", "c"], 2, "without tls_key"),
