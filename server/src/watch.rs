@@ -134,6 +134,9 @@ impl Watcher {
             closed: BTreeSet::new(),
         };
         for path in watcher.given.clone() {
+            if watcher.known.contains_key(&path) {
+                return Err(CatalogError::Twice(name_of(&path)).into());
+            }
             watcher.open(&path)?;
         }
         for folder in &watcher.folders {

@@ -53,7 +53,10 @@ fn at_samples_the_height_is_the_sample_and_between_them_that_of_the_triangle() {
         }
         let manifest = made.dataset.manifest();
         let samples = u64::from(manifest.samples[0]) * u64::from(manifest.samples[1]);
-        assert_eq!(nulls > 0, manifest.valid_samples < samples, "{nulls}");
+        let holes = samples - manifest.valid_samples;
+        assert!(nulls == 0 || holes > 0, "{nulls}");
+        // Few holes may be missed by chance.
+        assert!(nulls > 0 || holes * 100 < samples, "{holes}");
     }
 }
 

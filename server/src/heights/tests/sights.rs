@@ -43,8 +43,9 @@ pub(super) fn truth(made: &Made, ends: [[f64; 2]; 2], heights: [f64; 2], bulge: 
     };
     let crossings = crossings(ends);
     for &t in &crossings {
-        // On a side either triangle will do: a little to its sides there may be another.
-        let Some(ground) = made.raster.height(place(t)) else {
+        // On a side either triangle will do: where one is a hole, the other may not be.
+        let beside = [t, t - 1e-12, t + 1e-12].map(|t| made.raster.height(place(t)));
+        let Some(ground) = beside.into_iter().flatten().next() else {
             continue;
         };
         let clearance = line(t) - ground;
