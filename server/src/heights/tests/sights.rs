@@ -123,8 +123,10 @@ fn compare(made: &Made, lines: u32) -> [u32; 4] {
         let least_m = truth.least * quantum_m;
         if least_m.is_finite() {
             let margin = found.margin_m.unwrap();
+            // A crossing at an end, which does not count, may be a hair's breadth before it.
+            let near_end = |at: f64| margin < least_m && at.min(1.0 - at) < 1e-12;
             assert!(
-                (margin - least_m).abs() < 1e-6,
+                (margin - least_m).abs() < 1e-6 || near_end(found.margin_at),
                 "{ends:?}: {found:?} {least_m}"
             );
         }
