@@ -18,7 +18,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tracing::debug;
 
 /// Memory for the sketches of one dataset if nobody says otherwise, bytes. A view of a large
-/// dataset at 2 px takes about a thousand pages, of 1.2 KiB each.
+/// dataset at 2 px takes about a thousand pages, of 1.7 KiB each.
 pub const DEFAULT_SKETCH_BYTES: usize = 64 << 20;
 /// Locks that the pages are split among.
 const SHARDS: usize = 64;

@@ -12,24 +12,11 @@ use crate::geometry::PAGE_SAMPLES;
 
 /// Single precision loses less than this share of a distance.
 const LESS: f32 = 1.0 - 1e-6;
-/// Codes of two errors may add up to less than the code of their sum, by this share.
-const LESS_OF_SUM: f32 = 1.0 - 1.0 / 255.0;
 
-/// The smallest code that is beyond the tolerance at this distance, in metres of error; 0 if any
-/// is, that of no error included.
+/// The smallest code that is beyond the tolerance at this distance, in metres of error, which is
+/// not negative.
 pub(super) fn limit(distance: f32) -> u16 {
-    match distance < 0.0 {
-        true => 0,
-        false => ((distance * LESS).to_bits() >> 15) as u16 + 1,
-    }
-}
-
-/// As [`limit`], if `more` is added to every error.
-pub(super) fn limit_with(distance: f32, more: f32) -> u16 {
-    match more > 0.0 {
-        true => limit(distance * LESS_OF_SUM - more),
-        false => limit(distance),
-    }
+    ((distance * LESS).to_bits() >> 15) as u16 + 1
 }
 
 /// The lines of samples along an axis from where the eye may be, in metres of error: how far away
@@ -64,11 +51,10 @@ pub(super) struct Halves<const N: usize> {
 }
 
 impl Axis {
-    /// `more` is added to every error.
-    pub(super) fn new(lines: &Lines, more: f32) -> Axis {
+    pub(super) fn new(lines: &Lines) -> Axis {
         Axis {
-            beyond: lines.beyond.map(|line| limit_with(line.max(0.0), more)),
-            before: lines.before.map(|line| limit_with(line.max(0.0), more)),
+            beyond: lines.beyond.map(|line| limit(line.max(0.0))),
+            before: lines.before.map(|line| limit(line.max(0.0))),
         }
     }
 

@@ -80,16 +80,6 @@ impl Marks {
         }
     }
 
-    /// Keeps what others mark, too, cells apart.
-    pub(super) fn keep_common(&mut self, others: &Marks) {
-        for level in 0..LEVELS {
-            self.centres[level] &= others.centres[level];
-            for edge in 0..4 {
-                self.edges[level][edge] &= others.edges[level][edge];
-            }
-        }
-    }
-
     /// Parts that hold what is enabled.
     pub(super) fn parts(&self) -> u8 {
         if self.cells != [0; PAGE_CELLS] {

@@ -17,6 +17,7 @@
 //! either. Where a test is not the mesh's own, bit by bit, it is on the safe side: what is listed
 //! may be a little more than what the mesh asks for, never less.
 
+mod around;
 mod close;
 mod eyes;
 mod limits;

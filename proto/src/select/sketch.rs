@@ -5,7 +5,7 @@ use crate::geometry::{GridLevels, PAGE_CELLS, PAGE_LEVELS, PAGE_SLOTS, Quadrant,
 use crate::georef::Georef;
 use crate::page::{Bounds, BoxError, ChildSlot, Kind, MAX_SPAN, Page};
 use crate::sight::place::PageSquare;
-use crate::sight::squares::{self, FIRST_FINEST, PAGE_SQUARES, PLACES, Squares, Steps};
+use crate::sight::squares::{self, At, FIRST_FINEST, PAGE_SQUARES, PLACES, Squares, Steps};
 use crate::view::error_m;
 
 /// Place of the first square of a level, in the order of a sketch: level by level, column by
@@ -14,26 +14,58 @@ pub(super) const fn first(level: u8) -> usize {
     ((1 << (2 * level)) - 1) / 3
 }
 
-/// The coded bounds of a page's squares, of the parts that were known, and what is to be believed
-/// while only some of these have arrived. Does not change, and may be shared.
+/// The coded bounds of a page's squares, of the parts that were known, and what a client believes
+/// that has only some of these. Does not change, and may be shared.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Sketch {
     pub(super) parts: u8,
     pub(super) whole: bool,
     pub(super) has_holes: bool,
-    pub(super) steps: Steps,
     /// While only parts `1..=k` have arrived: the bound of each square of level `k`, by `k`; it
     /// holds when more have arrived as well. Where outlines cross the page, it is all that is known
     /// until all have.
     pub(super) rest: [u16; PAGE_LEVELS as usize + 1],
-    /// Bounds of edge triangles, by [`Edge`](crate::geometry::Edge), then by square.
-    pub(super) edges: [[u16; PAGE_SQUARES]; 4],
-    /// Of the two halves of squares.
-    pub(super) halves: [u16; PAGE_SQUARES],
-    pub(super) lo: [u8; PAGE_SQUARES],
-    pub(super) hi: [u8; PAGE_SQUARES],
+    /// Of all parts.
+    codes: Codes<PAGE_SQUARES, PAGE_SQUARES>,
+    /// Of fewer, in a page without holes.
+    fewer: Option<Box<Fewer>>,
+    /// Of four of five.
+    four: Option<Box<Codes<PAGE_SQUARES, { first(5) }>>>,
     /// Of a whole page that is not one of the finest.
     pub(super) cells: Option<Box<Cells>>,
+}
+
+/// Coded bounds of the first `S` squares of a page, and the heights of the first `R`.
+#[derive(Debug, Clone, PartialEq, Eq)]
+struct Codes<const S: usize, const R: usize> {
+    steps: Steps,
+    /// Bounds of edge triangles, by [`Edge`](crate::geometry::Edge), then by square.
+    edges: [[u16; S]; 4],
+    /// Of the two halves of squares.
+    halves: [u16; S],
+    lo: [u8; R],
+    hi: [u8; R],
+}
+
+/// What is believed while only one part has arrived, or two, or three: bounds of the squares whose
+/// centres they hold, and heights of those below as well.
+#[derive(Debug, Clone, PartialEq, Eq)]
+struct Fewer {
+    one: Codes<{ first(1) }, { first(2) }>,
+    two: Codes<{ first(2) }, { first(3) }>,
+    three: Codes<{ first(3) }, { first(4) }>,
+}
+
+/// What is believed of a page's squares, by so many parts of it.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Told<'a> {
+    pub(super) steps: Steps,
+    /// Bounds of edge triangles, by [`Edge`](crate::geometry::Edge), then by square.
+    pub(super) edges: [&'a [u16]; 4],
+    /// Of the two halves of squares.
+    pub(super) halves: &'a [u16],
+    pub(super) lo: &'a [u8],
+    pub(super) hi: &'a [u8],
 }
 
 /// Cells, column by column from the west, each from the south; and what hangs below them, a bit
@@ -51,43 +83,56 @@ impl Sketch {
     /// Of a page, as far as it is here. `promise` is what is known of it from the page above
     /// ([`Bounds::cell`] of its slot).
     pub fn of(page: &Page, promise: Option<BoxError>, grid: GridLevels, georef: &Georef) -> Sketch {
-        let bounds = Bounds::derive(page, promise);
-        let squares = Squares::of(&bounds, page.id(), grid, georef);
-        let mut sketch = Sketch {
-            parts: page.parts(),
-            whole: page.parts() == page.last_part(),
-            has_holes: page.has_holes(),
-            steps: squares.steps(),
-            rest: rest(page, promise, grid, georef),
-            edges: [[0; PAGE_SQUARES]; 4],
-            halves: [0; PAGE_SQUARES],
-            lo: [0; PAGE_SQUARES],
-            hi: [0; PAGE_SQUARES],
-            cells: None,
+        let squares = |bounds: &Bounds| Squares::of(bounds, page.id(), grid, georef);
+        let all = squares(&Bounds::derive(page, promise));
+        let whole = page.parts() == page.last_part();
+        let fewer = match page.has_holes() {
+            true => Vec::new(),
+            false => Bounds::of_fewer(page, promise),
         };
-        for (from, place) in PLACES.iter().enumerate() {
-            let PageSquare { level, column, row } = place.square;
-            let to = first(level) + (usize::from(column) << level) + usize::from(row);
-            for (edges, error) in sketch.edges.iter_mut().zip(squares.edges(from)) {
-                edges[to] = error.code();
-            }
-            sketch.halves[to] = squares.halves(from).code();
-            (sketch.lo[to], sketch.hi[to]) = squares.coded_range(from);
+        let [one, two, three, four] = std::array::from_fn(|i| fewer.get(i).map(squares));
+        let fewer = one.as_ref().map(|one| Fewer {
+            one: Codes::of(one),
+            // Nobody looks at what is not known.
+            two: Codes::of(two.as_ref().unwrap_or(one)),
+            three: Codes::of(three.as_ref().unwrap_or(one)),
+        });
+        Sketch {
+            parts: page.parts(),
+            whole,
+            has_holes: page.has_holes(),
+            rest: rest(page, promise, grid, georef),
+            codes: Codes::of(&all),
+            fewer: fewer.map(Box::new),
+            four: four.as_ref().map(|four| Box::new(Codes::of(four))),
+            cells: (all.has_cells() && whole).then(|| Box::new(Cells::of(page, &all))),
         }
-        if squares.has_cells() && sketch.whole {
-            sketch.cells = Some(Box::new(Cells::of(page, &squares)));
-        }
-        sketch
     }
 
     /// Memory that it takes, bytes.
     pub fn memory_bytes(&self) -> usize {
-        size_of::<Sketch>() + self.cells.as_ref().map_or(0, |_| size_of::<Cells>())
+        fn boxed<T>(held: &Option<Box<T>>) -> usize {
+            held.as_ref().map_or(0, |_| size_of::<T>())
+        }
+        size_of::<Sketch>() + boxed(&self.fewer) + boxed(&self.four) + boxed(&self.cells)
     }
 
-    /// Whether the page has no surface.
-    pub(super) fn is_empty(&self) -> bool {
-        self.lo[0] > self.hi[0]
+    /// Of all parts that were known.
+    pub(super) fn all(&self) -> Told<'_> {
+        self.codes.told()
+    }
+
+    /// What a client believes that has so many parts, which were known. Of a page with holes:
+    /// what all parts say.
+    pub(super) fn told(&self, parts: u8) -> Told<'_> {
+        let is_all = self.whole && parts >= self.parts;
+        match (parts, self.fewer.as_ref().filter(|_| !is_all), &self.four) {
+            (1, Some(fewer), _) => fewer.one.told(),
+            (2, Some(fewer), _) => fewer.two.told(),
+            (3, Some(fewer), _) => fewer.three.told(),
+            (4, Some(_), Some(four)) => four.told(),
+            _ => self.all(),
+        }
     }
 
     /// Whether a record is stored for the page below a slot. `None` before that is known.
@@ -100,6 +145,57 @@ impl Sketch {
     }
 }
 
+impl<const S: usize, const R: usize> Codes<S, R> {
+    fn of(squares: &Squares) -> Codes<S, R> {
+        let mut codes = Codes {
+            steps: squares.steps(),
+            edges: [[0; S]; 4],
+            halves: [0; S],
+            lo: [0; R],
+            hi: [0; R],
+        };
+        for (from, place) in PLACES.iter().enumerate().take(R) {
+            let PageSquare { level, column, row } = place.square;
+            let to = first(level) + (usize::from(column) << level) + usize::from(row);
+            (codes.lo[to], codes.hi[to]) = squares.coded_range(from);
+            if to >= S {
+                continue;
+            }
+            codes.halves[to] = squares.halves(from).code();
+            for (edges, error) in codes.edges.iter_mut().zip(squares.edges(from)) {
+                edges[to] = error.code();
+            }
+        }
+        if R > PAGE_SQUARES {
+            for (from, quadrant, (column, row)) in cells() {
+                let to = PAGE_SQUARES + column * PAGE_CELLS + row;
+                (_, codes.lo[to], codes.hi[to]) = squares.coded_cell(from, quadrant);
+            }
+        }
+        codes
+    }
+
+    fn told(&self) -> Told<'_> {
+        Told {
+            steps: self.steps,
+            edges: self.edges.each_ref().map(|edges| &edges[..]),
+            halves: &self.halves,
+            lo: &self.lo,
+            hi: &self.hi,
+        }
+    }
+}
+
+/// The cells of a page: the squares whose quadrants they are, and their columns and rows.
+fn cells() -> impl Iterator<Item = (At, Quadrant, (usize, usize))> {
+    let finest = PLACES.iter().enumerate().skip(FIRST_FINEST);
+    finest.flat_map(|(at, place)| {
+        let slots = place.slots();
+        let place = |quadrant| slots[quadrant as usize].position();
+        Quadrant::ALL.map(|quadrant| (at, quadrant, place(quadrant)))
+    })
+}
+
 impl Cells {
     fn of(page: &Page, squares: &Squares) -> Cells {
         let mut cells = Cells {
@@ -108,16 +204,13 @@ impl Cells {
             hi: [0; PAGE_SLOTS],
             stored: [0; PAGE_CELLS],
         };
-        for (at, place) in PLACES.iter().enumerate().skip(FIRST_FINEST) {
-            for quadrant in Quadrant::ALL {
-                let slot = place.slots()[quadrant as usize];
-                let (column, row) = slot.position();
-                let to = column * PAGE_CELLS + row;
-                let (error, lo, hi) = squares.coded_cell(at, quadrant);
-                cells.errors[to] = error.code();
-                (cells.lo[to], cells.hi[to]) = (lo, hi);
-                cells.stored[row] |= u16::from(page.slot(slot).has_record()) << column;
-            }
+        for (at, quadrant, (column, row)) in self::cells() {
+            let to = column * PAGE_CELLS + row;
+            let (error, lo, hi) = squares.coded_cell(at, quadrant);
+            cells.errors[to] = error.code();
+            (cells.lo[to], cells.hi[to]) = (lo, hi);
+            let stored = page.slot(Slot::at(column, row)).has_record();
+            cells.stored[row] |= u16::from(stored) << column;
         }
         cells
     }

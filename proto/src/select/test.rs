@@ -1,18 +1,16 @@
 //! Downwards: which triangles and cells of a page are beyond the tolerance.
 
+use super::around::{Around, Heights, metres};
 use super::eyes::Eyes;
-use super::limits::{Axis, Lines, limit, limit_with, rows, squares};
+use super::limits::{Axis, limit, rows, squares};
 use super::marks::Marks;
-use super::sketch::{Sketch, first};
+use super::sketch::{Sketch, Told, first};
 use super::{Known, NONE, PART_COUNTS, PageKind, Scope, Seen, Selection, below};
-use crate::geometry::{
-    GridLevels, PAGE_CELLS, PAGE_LEVELS, PAGE_SAMPLES, PAGE_SLOTS, PageId, Slot,
-};
+use crate::geometry::{GridLevels, PAGE_CELLS, PAGE_LEVELS, PageId, Slot};
 use crate::georef::WorldBox;
 use crate::page::{SLOT_PART, last_part};
 use crate::sight::Sight;
-use crate::sight::squares::{ErrorCode, PAGE_SQUARES};
-use std::cell::OnceCell;
+use crate::sight::squares::PAGE_SQUARES;
 
 /// One selection's view.
 pub(super) struct Pass<'a> {
@@ -20,33 +18,6 @@ pub(super) struct Pass<'a> {
     sight: &'a Sight,
     eyes: Eyes,
     scope: Scope,
-}
-
-/// A page from where the eye may be, in metres of error: distances over the threshold.
-struct Around {
-    columns: Lines,
-    rows: Lines,
-    /// Height of the page's lowest step above the highest place of the eye, and above the lowest;
-    /// what a step adds; and how much of that may be rounding.
-    base: [f32; 2],
-    step: f32,
-    slack: f32,
-    /// How far the page is to the side.
-    flat: f32,
-    /// A metre.
-    metre: f32,
-    /// Limits of columns and rows, once they have been asked for.
-    axes: OnceCell<[Axis; 2]>,
-}
-
-/// Heights of the squares of a page that count beside the distance to the side.
-struct Heights<'a> {
-    around: &'a Around,
-    sketch: &'a Sketch,
-    /// By how much heights may be farther out.
-    wider: f32,
-    /// Nothing is known but those of the whole page.
-    of_page: bool,
 }
 
 /// What the tests of a page found.
@@ -82,7 +53,7 @@ impl Selection {
             entry.own_parts = entry.parts;
             return;
         };
-        let around = pass.around(entry.id, &sketch);
+        let around = pass.around(entry.id);
         let is_stored = entry.kind == PageKind::Stored;
         let found = pass.find(entry.id, &sketch, &around, is_stored);
         entry.guessed = found.guessed;
@@ -90,12 +61,13 @@ impl Selection {
         entry.excess[1..].copy_from_slice(&found.excess[1..]);
         entry.marks = found.marks;
         entry.sketch = Some(sketch.clone());
+        let heights = around.heights(&sketch.all());
         for row in 0..PAGE_CELLS {
             let mut left = found.cells[row];
             while left != 0 {
                 let column = left.trailing_zeros() as usize;
                 left &= left - 1;
-                self.add_below(pass, index, &sketch, &around, (column, row));
+                self.add_below(pass, index, &sketch, (&around, &heights), (column, row));
             }
         }
     }
@@ -105,7 +77,7 @@ impl Selection {
         pass: &Pass<'_>,
         index: u32,
         sketch: &Sketch,
-        around: &Around,
+        (around, heights): (&Around, &Heights<'_>),
         (column, row): (usize, usize),
     ) {
         let above = &self.entries[index as usize];
@@ -122,8 +94,8 @@ impl Selection {
         if pass.scope == Scope::InView && seen == Seen::Nothing {
             return;
         }
-        let flat = around.flat_of(column, row, 1);
-        let high = around.above([cells.lo[at], cells.hi[at]]);
+        let flat = around.flat_of(column, row);
+        let high = heights.above([cells.lo[at], cells.hi[at]]);
         let excess = metres(cells.errors[at]) / flat.max(high);
         let kind = match cells.stored[row] >> column & 1 {
             0 => PageKind::Implied,
@@ -145,10 +117,6 @@ fn parts_for(excess: f32) -> u8 {
     (excess.max(1.0).log2().ceil() as u8).clamp(1, SLOT_PART)
 }
 
-fn metres(code: u16) -> f32 {
-    ErrorCode::from_code(code).metres() as f32
-}
-
 impl<'a> Pass<'a> {
     pub(super) fn new(grid: GridLevels, sight: &'a Sight, scope: Scope) -> Pass<'a> {
         let eyes = Eyes::at(sight.tests.eye_m);
@@ -168,43 +136,19 @@ impl<'a> Pass<'a> {
     /// What the tests find of a page that is stored.
     #[cfg(test)]
     pub(super) fn find_in(&self, id: PageId, sketch: &Sketch) -> Found {
-        self.find(id, sketch, &self.around(id, sketch), true)
+        self.find(id, sketch, &self.around(id), true)
     }
 
-    fn around(&self, id: PageId, sketch: &Sketch) -> Around {
-        let unit = 1.0 / self.sight.tests.threshold;
-        let (x, y) = self.grid.page_origin(id);
-        let stride = self.grid.page_stride(id);
-        let over = |metres: f64| (metres * unit) as f32;
-        let lines = |origin: u32, axis: usize| {
-            let at_m = |i: usize| self.sight.grid_m(origin + i as u32 * stride, axis);
-            Lines {
-                beyond: std::array::from_fn(|i| over(at_m(i) - self.eyes.hi_m[axis])),
-                before: std::array::from_fn(|i| over(self.eyes.lo_m[axis] - at_m(i))),
-            }
-        };
-        let (columns, rows) = (lines(x, 0), lines(y, 1));
-        let height_m = |code| sketch.steps.height(code) as f64 * self.sight.quantum_m();
-        let base = [self.eyes.hi_m[2], self.eyes.lo_m[2]].map(|eye_m| over(height_m(0) - eye_m));
-        let step = over(height_m(1) - height_m(0));
-        let last = PAGE_SAMPLES - 1;
-        Around {
-            base,
-            step,
-            slack: (base[0].abs().max(base[1].abs()) + 255.0 * step) * 1e-6,
-            flat: columns.between(0, last).max(rows.between(0, last)),
-            columns,
-            rows,
-            metre: over(1.0),
-            axes: OnceCell::new(),
-        }
+    fn around(&self, id: PageId) -> Around {
+        Around::new(self.grid, self.sight, &self.eyes, id)
     }
 
     /// Whether a page may be seen, by a range of heights, coded as the page above has it.
     fn seen(&self, id: PageId, above: &Sketch, range: [u8; 2]) -> Seen {
         let (x, y) = self.grid.page_origin(id);
         let cells = self.grid.square_cells(id.level());
-        let [lo, hi] = range.map(|code| above.steps.height(code) as f64 * self.sight.quantum_m());
+        let [lo, hi] =
+            range.map(|code| above.all().steps.height(code) as f64 * self.sight.quantum_m());
         let line = |grid, axis| self.sight.grid_m(grid, axis);
         let min = [line(x, 0), line(y, 1), lo];
         let max = [line(x + cells, 0), line(y + cells, 1), hi];
@@ -224,7 +168,6 @@ impl<'a> Pass<'a> {
 
     fn find(&self, id: PageId, sketch: &Sketch, around: &Around, is_stored: bool) -> Found {
         let last = last_part(self.grid.is_finest(id));
-        let nearest = around.nearest(sketch);
         let mut found = Found {
             parts: last,
             guessed: false,
@@ -233,75 +176,85 @@ impl<'a> Pass<'a> {
             cells: [0; PAGE_CELLS],
         };
         found.marks.centres[0] = 1;
-        // What stands for the parts that a client has not, though they are known here.
-        let mut rest = None;
         if is_stored {
-            let known = sketch.parts.min(last);
-            for part in 1..last.min(known + 1) {
-                let code = sketch.rest[usize::from(part)];
-                if !around.any_fails(sketch, part, code) {
-                    found.parts = part;
-                    rest = (part < known).then_some(code);
-                    break;
-                }
-                found.excess[usize::from(part)] = metres(code) / nearest;
-            }
-            if found.parts > known {
-                found.guessed = true;
-                let excess = found.excess[usize::from(known)];
-                found.parts = last.min(known + parts_for(excess));
-            }
+            found.count_parts(sketch, around, last);
         }
-        let depth = found.parts.min(sketch.parts).min(PAGE_LEVELS);
-        let heights = around.heights(sketch, rest.map_or(0.0, |rest| around.wider(rest)));
-        let outlines = rest.is_some() && sketch.has_holes;
-        let more = rest.filter(|_| !outlines).map_or(0.0, metres);
-        let with_more;
-        let [columns, rows] = match more > 0.0 {
-            false => around.axes(),
-            true => {
-                with_more = around.axes_with(more);
-                &with_more
+        found.mark(sketch, around, last);
+        found
+    }
+}
+
+impl Found {
+    /// How many parts are enough.
+    fn count_parts(&mut self, sketch: &Sketch, around: &Around, last: u8) {
+        let known = sketch.parts.min(last);
+        let all = around.heights(&sketch.all());
+        let nearest = around.nearest(&all);
+        for part in 1..last.min(known + 1) {
+            let code = sketch.rest[usize::from(part)];
+            let fails = match sketch.has_holes {
+                true => code >= limit(around.nearest_by(&all, code)),
+                false => around.any_fails(&around.heights(&sketch.told(part)), part, code),
+            };
+            if !fails {
+                self.parts = part;
+                return;
+            }
+            self.excess[usize::from(part)] = metres(code) / nearest;
+        }
+        if last > known {
+            self.guessed = true;
+            let excess = self.excess[usize::from(known)];
+            self.parts = last.min(known + parts_for(excess));
+        }
+    }
+
+    /// What is beyond the tolerance by what so many parts tell.
+    fn mark(&mut self, sketch: &Sketch, around: &Around, last: u8) {
+        let parts = self.parts.min(sketch.parts);
+        let depth = parts.min(PAGE_LEVELS);
+        let told = sketch.told(parts);
+        let heights = around.heights(&told);
+        let is_steep = around.is_steep(&heights);
+        // Outlines leave no more than a bound for all squares of a level until all is here.
+        let by_level = sketch.has_holes && parts < sketch.parts.min(last);
+        let limits = match (is_steep, by_level) {
+            (false, _) => None,
+            (true, false) => Some(heights.limits(depth)),
+            (true, true) => {
+                let code = sketch.rest[usize::from(parts)];
+                Some([limit(around.nearest_by(&heights, code)); PAGE_SQUARES])
             }
         };
-        let level = |(columns, rows), more: f32, by_level: bool| Level {
-            sketch,
+        let [columns, rows] = around.axes();
+        let level = Level {
+            told,
             columns,
             rows,
-            heights: heights
-                .as_ref()
-                .map(|heights| heights.limits(depth.max(1), more)),
-            by_level,
+            limits,
+            alike: by_level.then_some(&sketch.rest),
         };
-        level((columns, rows), more, outlines).mark_to(depth, &mut found.marks);
-        if more > 0.0 {
-            // Nor is anything beyond the tolerance of which fewer parts say that it is not.
-            let mut most = Marks::default();
-            let [columns, rows] = around.axes();
-            level((columns, rows), 0.0, true).mark_to(depth, &mut most);
-            most.centres[0] = 1;
-            found.marks.keep_common(&most);
-        }
-        if found.parts > PAGE_LEVELS
+        level.mark_to(depth, &mut self.marks);
+        if self.parts > PAGE_LEVELS
             && let Some(cells) = &sketch.cells
         {
-            let limits = heights.map(|heights| heights.cell_limits(0.0));
+            let limits = is_steep.then(|| heights.limits_of(&cells.lo, &cells.hi));
             let (x, y) = (columns.halves::<PAGE_CELLS>(), rows.halves::<PAGE_CELLS>());
             let limits = limits.as_ref().map(|limits| &limits[..]);
-            found.cells = self::rows(&cells.errors, &x.whole, &y.whole, limits);
+            self.cells = self::rows(&cells.errors, &x.whole, &y.whole, limits);
         }
-        found
     }
 }
 
 /// What the squares of a page are held against.
 struct Level<'a> {
-    sketch: &'a Sketch,
+    told: Told<'a>,
     columns: &'a Axis,
     rows: &'a Axis,
-    heights: Option<[u16; PAGE_SQUARES]>,
-    /// All that counts is what a number of parts says of all squares of a level alike.
-    by_level: bool,
+    /// Of heights, if they count.
+    limits: Option<[u16; PAGE_SQUARES]>,
+    /// Bounds of all squares of a level, if nothing is told of each.
+    alike: Option<&'a [u16; PAGE_LEVELS as usize + 1]>,
 }
 
 impl Level<'_> {
@@ -322,16 +275,10 @@ impl Level<'_> {
     /// Marks what fails among the squares of a level.
     fn mark<const N: usize>(&self, level: u8, marks: &mut Marks) {
         let at = first(level)..first(level) + N * N;
-        let alike = [self.sketch.rest[usize::from(level)]; 64];
-        let codes = |known| match self.by_level {
-            true => &alike[..N * N],
-            false => {
-                let known: &[u16; PAGE_SQUARES] = known;
-                &known[at.clone()]
-            }
-        };
+        let alike = self.alike.map(|bounds| [bounds[usize::from(level)]; 64]);
+        let alike = alike.as_ref().map(|alike| &alike[..N * N]);
         let (x, y) = (self.columns.halves::<N>(), self.rows.halves::<N>());
-        let heights = self.heights.as_ref().map(|heights| &heights[at.clone()]);
+        let limits = self.limits.as_ref().map(|limits| &limits[at.clone()]);
         let edges = [
             (&x.upper, &y.whole),
             (&x.whole, &y.upper),
@@ -339,156 +286,13 @@ impl Level<'_> {
             (&x.whole, &y.lower),
         ];
         for (edge, (x, y)) in edges.into_iter().enumerate() {
-            let codes = codes(&self.sketch.edges[edge]);
-            marks.edges[usize::from(level)][edge] |= squares(codes, x, y, heights);
+            let codes = alike.unwrap_or(&self.told.edges[edge][at.clone()]);
+            marks.edges[usize::from(level)][edge] |= squares(codes, x, y, limits);
         }
         if level > 0 {
-            let codes = codes(&self.sketch.halves);
-            let found = squares(codes, &x.whole, &y.whole, heights);
+            let codes = alike.unwrap_or(&self.told.halves[at]);
+            let found = squares(codes, &x.whole, &y.whole, limits);
             marks.centres[usize::from(level)] |= found;
         }
-    }
-}
-
-impl Around {
-    /// Limits of columns and rows.
-    fn axes(&self) -> &[Axis; 2] {
-        self.axes.get_or_init(|| self.axes_with(0.0))
-    }
-
-    /// The same if `more` is added to every error.
-    fn axes_with(&self, more: f32) -> [Axis; 2] {
-        [Axis::new(&self.columns, more), Axis::new(&self.rows, more)]
-    }
-
-    /// How far a square, `cells` of the page wide, is to the side.
-    fn flat_of(&self, column: usize, row: usize, cells: usize) -> f32 {
-        let along = |lines: &Lines, i: usize| lines.between(i * cells, (i + 1) * cells);
-        along(&self.columns, column).max(along(&self.rows, row))
-    }
-
-    /// How far heights are above the eye.
-    fn over(&self, lo: u8) -> f32 {
-        self.base[0] + self.step * f32::from(lo)
-    }
-
-    /// How far heights are below the eye.
-    fn under(&self, hi: u8) -> f32 {
-        -(self.base[1] + self.step * f32::from(hi))
-    }
-
-    /// How far heights are above or below, at least.
-    fn above(&self, [lo, hi]: [u8; 2]) -> f32 {
-        (self.over(lo).max(self.under(hi)) - self.slack).max(0.0)
-    }
-
-    /// By how much heights may be farther out while this bound is what is believed: by the bound,
-    /// and by a step of the codes that they have then.
-    fn wider(&self, code: u16) -> f32 {
-        if code == 0 {
-            return 0.0;
-        }
-        let bound = metres(code) * self.metre;
-        bound + (255.0 * self.step + 2.0 * bound) * (2.0 / 253.0)
-    }
-
-    /// How far the page is, at least.
-    fn nearest(&self, sketch: &Sketch) -> f32 {
-        match sketch.is_empty() {
-            true => self.flat,
-            false => self.flat.max(self.above([sketch.lo[0], sketch.hi[0]])),
-        }
-    }
-
-    /// How far any of the page is, at most.
-    fn farthest(&self, sketch: &Sketch) -> f32 {
-        let last = PAGE_SAMPLES - 1;
-        let end = |lines: &Lines| lines.beyond[last].max(lines.before[0]);
-        let flat = end(&self.columns).max(end(&self.rows));
-        let high = self.over(sketch.hi[0]).max(self.under(sketch.lo[0]));
-        flat.max(high).max(0.0)
-    }
-
-    /// The heights of a page, unless all of it is farther to the side than up or down, or it has
-    /// none: a client that has not all of it takes heights for heights of the surface.
-    fn heights<'a>(&'a self, sketch: &'a Sketch, wider: f32) -> Option<Heights<'a>> {
-        let farthest = self.over(sketch.hi[0]).max(self.under(sketch.lo[0])) + self.slack;
-        let counts = farthest > self.flat && !sketch.is_empty();
-        let of_page = sketch.has_holes && wider > 0.0;
-        counts.then_some(Heights {
-            around: self,
-            sketch,
-            wider,
-            of_page,
-        })
-    }
-
-    /// Whether any square of a level fails if each has this bound, and nothing finer is known.
-    fn any_fails(&self, sketch: &Sketch, level: u8, code: u16) -> bool {
-        let wider = self.wider(code);
-        let Some(heights) = self.heights(sketch, wider) else {
-            return code >= limit(self.flat);
-        };
-        let lowest = (self.nearest(sketch) - wider).max(self.flat);
-        if heights.of_page || code < limit(lowest) {
-            return code >= limit(lowest);
-        }
-        if code >= limit(self.farthest(sketch)) {
-            return true;
-        }
-        let [columns, rows] = self.axes();
-        if level == PAGE_LEVELS {
-            let limits = heights.cell_limits(0.0);
-            return any::<PAGE_CELLS>(code, columns, rows, &limits);
-        }
-        let limits = heights.limits(level + 1, 0.0);
-        let limits = &limits[first(level)..];
-        match level {
-            1 => any::<2>(code, columns, rows, limits),
-            2 => any::<4>(code, columns, rows, limits),
-            _ => any::<8>(code, columns, rows, limits),
-        }
-    }
-}
-
-fn any<const N: usize>(code: u16, columns: &Axis, rows: &Axis, heights: &[u16]) -> bool {
-    let codes = [code; PAGE_SLOTS];
-    let (x, y) = (columns.halves::<N>(), rows.halves::<N>());
-    let found = self::rows(&codes[..N * N], &x.whole, &y.whole, Some(&heights[..N * N]));
-    found.iter().any(|&row| row != 0)
-}
-
-impl Heights<'_> {
-    /// Limits of the heights of squares of so many levels; `more` is added to every error.
-    fn limits(&self, levels: u8, more: f32) -> [u16; PAGE_SQUARES] {
-        let mut limits = [0; PAGE_SQUARES];
-        let end = first(levels);
-        let ranges = (&self.sketch.lo[..end], &self.sketch.hi[..end]);
-        self.fill(&mut limits[..end], ranges, more);
-        limits
-    }
-
-    /// Of cells; of the whole page's heights, if theirs are not known.
-    fn cell_limits(&self, more: f32) -> [u16; PAGE_SLOTS] {
-        let mut limits = [0; PAGE_SLOTS];
-        match &self.sketch.cells {
-            Some(cells) => self.fill(&mut limits, (&cells.lo[..], &cells.hi[..]), more),
-            None => limits.fill(self.limit(self.sketch.lo[0], self.sketch.hi[0], more)),
-        }
-        limits
-    }
-
-    fn fill(&self, limits: &mut [u16], (lo, hi): (&[u8], &[u8]), more: f32) {
-        if self.of_page {
-            return limits.fill(self.limit(self.sketch.lo[0], self.sketch.hi[0], more));
-        }
-        for (limit, (&lo, &hi)) in limits.iter_mut().zip(lo.iter().zip(hi)) {
-            *limit = self.limit(lo, hi, more);
-        }
-    }
-
-    fn limit(&self, lo: u8, hi: u8, more: f32) -> u16 {
-        let away = self.around.over(lo).max(self.around.under(hi)) - self.around.slack;
-        limit_with((away - self.wider).max(0.0), more)
     }
 }

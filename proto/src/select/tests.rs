@@ -104,14 +104,6 @@ fn plain(page: &Page, sight: &Sight, georef: &Georef) -> Plain {
     found
 }
 
-/// Whether an eye is so far to the side of a page that heights of this span do not count.
-fn is_beside(page: &Page, at: [f64; 3], span_m: f64) -> bool {
-    let side_m = f64::from(grid_of(page).square_cells(page.id().level())) * 10.0;
-    let aside = at[..2].iter().map(|at| (at - 0.5).abs() - 0.5);
-    let aside_m = aside.fold(0.0, f64::max) * side_m;
-    aside_m > at[2].abs() * side_m + 2.0 * span_m
-}
-
 fn contains(all: u64, some: u64) -> bool {
     all & some == some
 }
@@ -143,25 +135,30 @@ proptest! {
         for row in 0..16 {
             prop_assert!(contains(found.cells[row].into(), exact.cells[row].into()));
         }
+        // What is told of fewer parts is what a client derives that has them.
+        for parts in 1..if page.has_holes() { 1 } else { page.last_part() } {
+            let derived = Bounds::derive(&prefix(&page, parts), None);
+            prop_assert_eq!(&Bounds::of_fewer(&page, None)[usize::from(parts) - 1], &derived);
+        }
         // No more than with a tolerance that is a hundredth narrower, unless heights are so far
         // apart that single precision cannot tell.
-        let span = sketch.steps.height(255) - sketch.steps.height(0);
-        prop_assume!(span as f64 * quantum_m < 1e4);
+        let span = sketch.all().steps.height(255) - sketch.all().steps.height(0);
+        let can_tell = (span as f64) * quantum_m < 1e4;
         let narrower = View { max_screen_error_px: px * 0.99, ..view };
         let narrower = Sight::new(&georef, &narrower);
-        if found.parts == page.last_part() {
+        if can_tell && (found.parts == page.last_part() || !page.has_holes()) {
             let more = plain(&held, &narrower, &georef);
             for row in 0..16 {
                 prop_assert!(contains(more.cells[row].into(), found.cells[row].into()));
             }
             for level in 0..4 {
+                prop_assert!(contains(more.centres[level], found.marks.centres[level]));
                 for edge in 0..4 {
                     prop_assert!(contains(more.edges[level][edge], found.marks.edges[level][edge]));
                 }
             }
         }
-        // Heights are taken for coarser than they may be coded.
-        if found.parts > 1 && !page.has_holes() && span as f64 * quantum_m < 0.5 {
+        if can_tell && found.parts > 1 && !page.has_holes() {
             let less = plain(&prefix(&page, found.parts - 1), &narrower, &georef);
             prop_assert!(less.wants_more, "{} parts are too many", found.parts);
         }
@@ -175,10 +172,10 @@ proptest! {
             let sketch = Sketch::of(&prefix(&page, parts), None, grid, &georef);
             let known = Pass::new(grid, &sight, Scope::All).find_in(page.id(), &sketch);
             prop_assert!(known.parts >= found.parts || page.has_holes());
-            // Heights of some parts are known less sharply than those of all, and bounds of a page
-            // with holes may still grow, so that more may be asked for, on the safe side.
-            let is_sharp = !page.has_holes() && is_beside(&page, at, span as f64 * quantum_m);
-            prop_assert!(!is_sharp || !known.guessed && known.parts == found.parts);
+            // Bounds of a page with holes may still grow, so that more may be asked for, on the
+            // safe side.
+            let is_same = !known.guessed && known.parts == found.parts;
+            prop_assert!(page.has_holes() || is_same && known.marks == found.marks);
         }
     }
 }
